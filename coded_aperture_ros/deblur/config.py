@@ -1,4 +1,4 @@
-"""Settings of the deblurring."""
+"""Settings of deblurring."""
 
 import dataclasses
 
@@ -10,7 +10,19 @@ from coded_aperture_ros.depth.config import DepthConfig
 
 @dataclasses.dataclass(frozen=True)
 class DeblurConfig:
-    """How a coded frame is turned into an all-in-focus one."""
+    """Settings of deblurring; each field's `Option` has its unit, range and description.
+
+    Raises
+    ------
+    InputError
+        Naming the setting, its value and what is allowed.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.deblur import DeblurConfig
+    >>> DeblurConfig(method="sparse", smoothness=0.8).iterations
+    0
+    """
 
     parameter_group = "deblur."
     method: str = option(
@@ -31,13 +43,13 @@ class DeblurConfig:
     )
     occlusion: str = option(
         "auto",
-        "Whether cg and sparse reckon with foregrounds that hide a part of what is behind them; "
+        "Whether cg and sparse model foregrounds that hide a part of what is behind them; "
         "auto: where the PSFs are small enough for the memory.",
         choices=("auto", "yes", "no"),
     )
     iterations: int = option(
         0,
-        "Conjugate-gradient steps of cg and sparse, at most; 0: as many as the method is made for.",
+        "Largest number of conjugate-gradient steps of cg and sparse; 0: the method's own.",
         within=(0, 10000),
     )
     tolerance: float = option(
@@ -48,8 +60,7 @@ class DeblurConfig:
     saturation: float = option_of(DepthConfig, "saturation")
     temporal_frames: float = option(
         0.0,
-        "Frames of a video that are averaged at most, where they are alike; 0: every frame for "
-        "itself.",
+        "Largest number of frames of a video that are averaged, where they are alike; 0: none.",
         within=(0.0, 1000.0),
         parameter="temporal.frames",
     )
@@ -69,8 +80,8 @@ class DeblurConfig:
     )
     threads: int = option(
         1,
-        "Threads of the processor for the filters; at most as many as it has cores. 0: so many, "
-        "but no more than four.",
+        "Threads of the processor for the filters; at most as many as it has cores. 0: all cores, "
+        "at most 4.",
         within=(0, 1024),
         read_only=True,
         parameter="compute.threads",

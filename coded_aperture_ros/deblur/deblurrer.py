@@ -1,4 +1,4 @@
-"""The all-in-focus frame from a coded frame and its depth: where to begin to read."""
+"""Deblurrer: the all-in-focus frame from a coded frame and its depth. Begin to read here."""
 
 from functools import cache
 
@@ -13,13 +13,13 @@ from coded_aperture_ros.deblur.blur_map import (
     filled_blur_map,
     known_pixels,
     safe_blur_map,
-    smoothed_over_surfaces,
+    smooth_within_surfaces,
 )
 from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.fast import ClosedForm, Fast, Inverse
 from coded_aperture_ros.deblur.iterative import Iterative, blur_operator
 from coded_aperture_ros.deblur.least_squares import solve_least_squares, solve_sparse
-from coded_aperture_ros.deblur.operator import frame_within
+from coded_aperture_ros.deblur.operator import crop_to_frame
 from coded_aperture_ros.deblur.problem import (
     Method,
     Problem,
@@ -38,14 +38,32 @@ _EDGE_REACH_PX = 10
 
 
 class Deblurrer:
-    """Makes the frames of a camera all-in-focus.
+    """All-in-focus frames of a camera with one PSF for each blur size.
 
     Parameters
     ----------
     stack : PsfStack
-        PSFs of the blur levels, as a filter bank has them.
+        PSFs of the blur levels, as in a filter bank.
+    config : DeblurConfig, optional
     progress : callable, optional
         Wraps the iterations over one frame of `cg` and `sparse`, as ``tqdm.tqdm`` does.
+
+    References
+    ----------
+    Martinello 2012, chapter 6.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros import Deblurrer
+    >>> from coded_aperture_ros.deblur import DeblurConfig
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> stack = render_psf_stack(Mask.named("levin"), np.linspace(1, 9, 9))
+    >>> deblurrer = Deblurrer(stack, DeblurConfig(method="inverse"))
+    >>> coded = np.random.default_rng(0).random((64, 96), np.float32)
+    >>> blur_size_px = np.full((64, 96), 5, np.float32)
+    >>> deblurrer.deblur(coded, blur_size_px, noise=0.002).shape
+    (64, 96)
     """
 
     def __init__(
@@ -62,7 +80,7 @@ class Deblurrer:
         self._video = VideoState(self.config.temporal_frames)
 
     def prepare(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        """Make the filters for frames of `shape` (rows, columns) before the first one."""
         if self._blend is not None:
             self._blend.prepare(shape)
         else:
@@ -73,10 +91,10 @@ class Deblurrer:
         self._video.reset()
 
     def reconfigure(self, config: DeblurConfig) -> None:
-        """Deblur by other settings from the next frame on. Any option may change.
+        """Use other settings from the next frame on. Any option may change.
 
-        Another `rank`, `band`, `network` or number of `threads` makes the filters anew: the next
-        frame waits unless `prepare` is called. Another `temporal_frames` begins another video.
+        Another `rank`, `band`, `network` or number of `threads` makes new filters: the next frame
+        waits unless `prepare` is called. Another `temporal_frames` begins another video.
         """
         old = self.config
         self.config = config
@@ -95,11 +113,11 @@ class Deblurrer:
 
     @property
     def removes_motion(self) -> bool:
-        """Whether the method can remove blur by motion too."""
+        """Whether the method can remove motion blur too."""
         return self._method.removes_motion
 
     def close(self) -> None:
-        """End the threads that the frames were shared among."""
+        """End the worker threads."""
         self._workers.close()
 
     def deblur(
@@ -109,33 +127,28 @@ class Deblurrer:
         noise: float | None = None,
         motion_px: FloatArray | None = None,
     ) -> FloatArray:
-        """Return the all-in-focus frame.
+        """All-in-focus frame, float32, shape of `frame`, in [0, 1].
 
         Parameters
         ----------
         frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
-            Coded frame in linear light.
+            Coded frame, linear light.
         blur_size_px : ndarray, float32 [map rows, map columns]
-            Signed blur sizes in pixels of the frame. The map covers the whole frame, may be
-            smaller, and is not finite where the depth is unknown.
+            Signed blur sizes in pixels of the frame; not finite where the depth is unknown. The map
+            covers the whole frame, and may be smaller.
         noise : float, optional
-            Standard deviation of the noise of one channel, with its shot noise. By default what is
-            configured, and where that is 0, an estimate; see `channel_noise`.
+            Standard deviation of the noise of one channel, with its shot noise. By default that of
+            the configuration, and if that is 0, an estimate; see `channel_noise`.
         motion_px : ndarray, float32 [map rows, map columns, 2], optional
-            Way during the exposure, to the right, and down, in pixels of the frame, of what has
-            moved; not finite where it is unknown. The map covers the whole frame. Methods `cg` and
-            `sparse` remove it, without occlusion (thesis 7.5).
-
-        Returns
-        -------
-        ndarray, float32, like `frame`
-            In [0, 1].
+            Motion during the exposure, right and down, in pixels of the frame; not finite where
+            unknown. The map covers the whole frame. Methods `cg` and `sparse` remove it, without
+            occlusion (thesis 7.5).
 
         Raises
         ------
         InputError
             If the frame or a map has a wrong shape or type, no blur size is known, the frame is too
-            small for its noise to be estimated, or `fast` or `inverse` is to remove motion.
+            small to estimate its noise, or `fast` or `inverse` is to remove motion.
         """
         check_frame(frame)
         motion = full_resolution_motion(motion_px, frame.shape)
@@ -143,17 +156,17 @@ class Deblurrer:
             method = self.config.method
             raise InputError(f"motion: method {method} removes no motion, use cg or sparse")
         recorded = frame
-        frame, measured, shines = measured_pixels(frame, self.config.saturation)
+        frame, measured, clipped = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
         known = known_pixels(blur_size_px, frame.shape)
-        data = channels, frame_count, measured, shines, blur, known, motion, noise
+        data = channels, frame_count, measured, clipped, blur, known, motion, noise
         problem = Problem(*data, self._progress)
         sharp = self._method.restore(problem, self._video)
-        if not (measured | shines).all():
+        if not (measured | clipped).all():
             as_recorded = np.isfinite(recorded) & (recorded >= self.config.saturation)
-            as_recorded[shines] = False
+            as_recorded[clipped] = False
             sharp = np.where(as_recorded, recorded, sharp)
         return np.clip(sharp, 0, 1)
 
@@ -164,22 +177,26 @@ class Deblurrer:
         blur_size_px: FloatArray,
         noise: float | None = None,
     ) -> Uncertainty:
-        """Return how far each pixel of an all-in-focus frame can be relied on.
+        """Standard deviation of each pixel of an all-in-focus frame, and how it came about.
 
-        It takes a second of one processor at 640x480, as occlusion is reckoned with. Of frames that
-        a video averages the noise is that of one.
+        It takes a second of one processor at 640x480, as it models occlusion. For frames that a
+        video averages, it uses the noise of one.
 
         Parameters
         ----------
         frame, blur_size_px, noise
-            What `deblur` was given.
+            The arguments of `deblur`.
         sharp : ndarray, float32, like `frame`
-            What it has made of them.
+            Its result.
+
+        Returns
+        -------
+        Uncertainty
 
         Raises
         ------
         InputError
-            As from `deblur`, or if `sharp` has another shape than `frame`.
+            As `deblur`, or if `sharp` has another shape than `frame`.
         """
         for each in (frame, sharp):
             check_frame(each)
@@ -187,18 +204,18 @@ class Deblurrer:
         noise = noise or channel_noise(frame, KnownNoise.of(self.config))
         blur = filled_blur_map(blur_size_px, frame)
         operator = blur_operator(self._basis(), blur, self._workers, self.config.occlusion)
-        seen = frame_within(operator.adjoint(measured.astype(np.float32))[0], operator)
+        seen = crop_to_frame(operator.adjoint(measured.astype(np.float32))[0], operator)
         known = known_pixels(blur_size_px, frame.shape)
         kind = classify_pixels(blur, known, seen, self.stack.in_pixels)
         return estimate_uncertainty(frame, np.asarray(sharp, np.float32), measured, kind, noise)
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
-        """Return the blur sizes to deblur by, as much smaller as the method wants them."""
+        """Blur sizes for the method [rows / reduction, columns / reduction], px of the frame."""
         blur = filled_blur_map(blur_size_px, frame, self._method.reduction)
         if not self.stack.in_pixels:
             return blur
         if moves:
-            return smoothed_over_surfaces(safe_blur_map(blur, _EDGE_REACH_PX, 1))
+            return smooth_within_surfaces(safe_blur_map(blur, _EDGE_REACH_PX, 1))
         return safe_blur_map(blur, self._method.edge_reach_px, self._method.reduction)
 
     def _new_closed_form(self) -> ClosedForm:

@@ -16,12 +16,12 @@ from coded_aperture_ros.deblur.inverse_filters import (
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.optics import PsfStack
 
-# The share of the places in a video that may have more noise than is reckoned with.
-_FEW = 0.1
+# The share of the table_indices in a video that may have more noise than is reckoned with.
+_FEW_FRAMES_QUANTILE = 0.1
 
 
 class ClosedForm(OpponentFilters[InverseFilters]):
-    """The inverse filters of a camera, for brightness and for colour differences."""
+    """Inverse filters of a camera, for brightness and for colour differences."""
 
     def __init__(self, stack: PsfStack, rank: int, band: str, workers: Workers) -> None:
         filters = HalfBandFilters if band == "half" else InverseFilters
@@ -31,16 +31,16 @@ class ClosedForm(OpponentFilters[InverseFilters]):
     def restore(
         self, channels: list[FloatArray], blur_size_px: FloatArray, noise: float
     ) -> list[FloatArray]:
-        """Deblur the `opponents` of a frame, by a map that is smaller by `reduction`."""
-        places = self._brightness.places(blur_size_px)
-        restored = self._brightness.apply(channels[:1], places, noise)
+        """Deblurred `opponents` of a frame; the map is smaller by `reduction`."""
+        table_indices = self._brightness.table_indices(blur_size_px)
+        restored = self._brightness.apply(channels[:1], table_indices, noise)
         if len(channels) > 1:
-            restored += self._colour.apply(channels[1:], places, COLOUR_NOISE * noise)
+            restored += self._colour.apply(channels[1:], table_indices, COLOUR_NOISE * noise)
         return restored
 
 
 class Inverse:
-    """Filters every pixel by the inverse of its own level's PSF; see `Method`."""
+    """Each pixel filtered by the inverse of its own level's PSF; see `Method`."""
 
     # It cannot leave out pixels whose depth is wrong: it keeps away from edges.
     edge_reach_px = 14
@@ -52,8 +52,8 @@ class Inverse:
         self.reduction = closed_form.reduction
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
-        """Return the all-in-focus frame."""
-        noise = _noise_to_show(problem) * float(np.sqrt(self._config.smoothness))
+        """All-in-focus frame; see `Method`."""
+        noise = _visible_noise(problem) * float(np.sqrt(self._config.smoothness))
         channels = self._closed_form.restore(problem.channels, problem.blur_size_px, noise)
         sharp = from_opponents(channels)
         if self._config.band == "half":
@@ -65,7 +65,7 @@ class Inverse:
 
 
 class Fast:
-    """Weighs what closed forms of several blur sizes say, as a network has learned; `Method`."""
+    """Closed forms of several blur sizes, blended by a small network; see `Method`."""
 
     reduction = 1
     edge_reach_px = 0
@@ -76,19 +76,23 @@ class Fast:
         self._blend = blend
 
     def restore(self, problem: Problem, _: VideoState) -> FloatArray:
-        """Return the all-in-focus frame."""
+        """All-in-focus frame; see `Method`."""
         return from_opponents(
             self._blend.restore(
                 problem.channels,
                 problem.blur_size_px,
                 problem.known,
-                _noise_to_show(problem),
+                _visible_noise(problem),
                 self._config.smoothness,
             )
         )
 
 
-def _noise_to_show(problem: Problem) -> float:
-    """Return one noise for the whole frame: that of places with few frames, which would show it."""
-    few = float(np.quantile(problem.frame_count, _FEW)) if problem.frame_count.size > 1 else 1.0
+def _visible_noise(problem: Problem) -> float:
+    """Noise for the whole frame: that of pixels with few frames, where it would be seen."""
+    few = (
+        float(np.quantile(problem.frame_count, _FEW_FRAMES_QUANTILE))
+        if problem.frame_count.size > 1
+        else 1.0
+    )
     return problem.noise / float(np.sqrt(few))

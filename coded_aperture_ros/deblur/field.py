@@ -1,4 +1,4 @@
-"""Deblurring a lens whose PSF changes over the image, part by part."""
+"""Deblurring with a PSF that changes over the image, tile by tile."""
 
 import dataclasses
 from functools import lru_cache
@@ -29,18 +29,18 @@ _MARGIN_PX = 28
 
 
 @dataclasses.dataclass(frozen=True)
-class _Part:
-    """A part of a frame with its margins, and how much it counts there."""
+class _Tile:
+    """Region of a frame with its margins, and its weight there."""
 
-    where: tuple[slice, slice]
+    region: tuple[slice, slice]
     weight: FloatArray  # [rows, columns]
 
 
 class FieldDeblurrer:
-    """Makes frames all-in-focus as `Deblurrer` does, each part of them with PSFs of its own.
+    """All-in-focus frames of a lens whose PSF changes over the image.
 
-    Parameters and methods are those of `Deblurrer`, but for the PSFs of the `field`; the stack has
-    those of the axis.
+    Parameters and methods are those of `Deblurrer`, with the PSFs of a `field`; the stack has those
+    of the axis.
     """
 
     def __init__(
@@ -54,22 +54,22 @@ class FieldDeblurrer:
         self._deblurrers = []
         for tangent in field_tangents(field.intrinsics, _ROWS, _COLUMNS):
             nearest = np.argsort(np.sum((field.tangents - tangent) ** 2, axis=1))[:4]
-            of_part = dataclasses.replace(stack, psfs=field.psfs[nearest].mean(axis=0))
-            self._deblurrers.append(Deblurrer(of_part, config, progress))
+            tile_stack = dataclasses.replace(stack, psfs=field.psfs[nearest].mean(axis=0))
+            self._deblurrers.append(Deblurrer(tile_stack, config, progress))
 
     @property
     def config(self) -> DeblurConfig:
-        """The settings."""
+        """Settings."""
         return self._deblurrers[0].config
 
     @property
     def removes_motion(self) -> bool:
-        """Whether the method can remove blur by motion too."""
+        """Whether the method can remove motion blur too."""
         return self._deblurrers[0].removes_motion
 
     def prepare(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
-        for part, deblurrer in zip(_parts(tuple(shape)), self._deblurrers, strict=True):
+        """Make the filters for frames of `shape` (rows, columns) before the first one."""
+        for part, deblurrer in zip(_tiles(tuple(shape)), self._deblurrers, strict=True):
             deblurrer.prepare(part.weight.shape)
 
     def reset(self) -> None:
@@ -78,12 +78,12 @@ class FieldDeblurrer:
             deblurrer.reset()
 
     def reconfigure(self, config: DeblurConfig) -> None:
-        """Deblur by other settings from the next frame on."""
+        """Use other settings from the next frame on."""
         for deblurrer in self._deblurrers:
             deblurrer.reconfigure(config)
 
     def close(self) -> None:
-        """End the threads that the frames were shared among."""
+        """End the worker threads."""
         for deblurrer in self._deblurrers:
             deblurrer.close()
 
@@ -94,7 +94,7 @@ class FieldDeblurrer:
         noise: float | None = None,
         motion_px: FloatArray | None = None,
     ) -> FloatArray:
-        """Return the all-in-focus frame; see `Deblurrer.deblur`."""
+        """All-in-focus frame, float32, shape of `frame`; see `Deblurrer.deblur`."""
         check_frame(frame)
         clean, *_ = measured_pixels(frame, self.config.saturation)
         filled = filled_blur_map(blur_size_px, clean)
@@ -103,14 +103,14 @@ class FieldDeblurrer:
         motion = full_resolution_motion(motion_px, frame.shape)
         sharp = np.zeros_like(frame)
         weight = np.zeros(frame.shape[:2], np.float32)
-        for part, deblurrer in zip(_parts(frame.shape[:2]), self._deblurrers, strict=True):
+        for part, deblurrer in zip(_tiles(frame.shape[:2]), self._deblurrers, strict=True):
             # A part without any depth takes that of its neighbours.
-            of_part = blur if known[part.where].any() else filled
-            maps = frame, of_part, *(() if motion is None else (motion,))
-            cut, sizes_px, *moved = (np.ascontiguousarray(each[part.where]) for each in maps)
+            tile_stack = blur if known[part.region].any() else filled
+            maps = frame, tile_stack, *(() if motion is None else (motion,))
+            cut, sizes_px, *moved = (np.ascontiguousarray(each[part.region]) for each in maps)
             found = deblurrer.deblur(cut, sizes_px, noise, *moved)
-            sharp[part.where] += (found.T * part.weight.T).T
-            weight[part.where] += part.weight
+            sharp[part.region] += (found.T * part.weight.T).T
+            weight[part.region] += part.weight
         return (sharp.T / weight.T).T
 
     def uncertainty(
@@ -120,9 +120,9 @@ class FieldDeblurrer:
         blur_size_px: FloatArray,
         noise: float | None = None,
     ) -> Uncertainty:
-        """Return how far each pixel can be relied on; see `Deblurrer.uncertainty`.
+        """Standard deviation of each pixel; see `Deblurrer.uncertainty`.
 
-        What is seen through the aperture is reckoned with the PSFs of the axis.
+        Visibility through the aperture is computed with the PSFs of the axis.
         """
         whole = Deblurrer(self.stack, self.config)
         try:
@@ -132,28 +132,33 @@ class FieldDeblurrer:
 
 
 @lru_cache(maxsize=4)
-def _parts(shape: Shape) -> tuple[_Part, ...]:
-    """Return the parts of frames of a shape (rows, columns), row by row."""
+def _tiles(shape: Shape) -> tuple[_Tile, ...]:
+    """Tiles of frames of a shape (rows, columns), row by row."""
     down, across = (
-        _stretches(length, count) for length, count in zip(shape, (_ROWS, _COLUMNS), strict=True)
+        _overlapping_spans(length, count)
+        for length, count in zip(shape, (_ROWS, _COLUMNS), strict=True)
     )
     return tuple(
-        _Part((rows, columns), np.outer(of_rows, of_columns))
+        _Tile((rows, columns), np.outer(of_rows, of_columns))
         for rows, of_rows in down
         for columns, of_columns in across
     )
 
 
-def _stretches(length: int, count: int) -> list[tuple[slice, FloatArray]]:
-    """Cut a side into parts with margins; weights fall to the margins' ends."""
-    places = np.arange(length)
+def _overlapping_spans(length: int, count: int) -> list[tuple[slice, FloatArray]]:
+    """Overlapping ranges of a side of the frame, with weights that sum to one."""
+    positions = np.arange(length)
     found = []
     for number in range(count):
         first = number * length // count
         end = (number + 1) * length // count
         # Half way into the margin lies the border, where two parts count alike.
-        before = np.ones(length) if not number else (places - first + _MARGIN_PX) / _MARGIN_PX / 2
-        after = np.ones(length) if end == length else (end + _MARGIN_PX - places) / _MARGIN_PX / 2
+        before = (
+            np.ones(length) if not number else (positions - first + _MARGIN_PX) / _MARGIN_PX / 2
+        )
+        after = (
+            np.ones(length) if end == length else (end + _MARGIN_PX - positions) / _MARGIN_PX / 2
+        )
         weight = np.minimum(before, after).clip(0, 1).astype(np.float32)
         inside = slice(*np.flatnonzero(weight)[[0, -1]] + [0, 1])
         found.append((inside, weight[inside]))
@@ -166,7 +171,20 @@ AnyDeblurrer = Deblurrer | FieldDeblurrer
 def make_deblurrer(
     model: BlurLevels, config: DeblurConfig | None = None, progress: Progress = iter
 ) -> AnyDeblurrer:
-    """Return what deblurs a model's frames: by parts, where its PSFs change over the image."""
+    """Deblurrer for a model: by tiles if its PSFs change over the image.
+
+    Parameters
+    ----------
+    model : BlurLevels
+        Filter bank, or levels of `blur_levels`.
+    config : DeblurConfig, optional
+    progress : callable, optional
+        See `Deblurrer`.
+
+    Returns
+    -------
+    Deblurrer or FieldDeblurrer
+    """
     field = model.field if isinstance(model, RenderedLevels) else None
     if isinstance(model, FilterBank) and model.field is not None:
         field = model.field.field

@@ -1,4 +1,4 @@
-"""The regularised inverses of all levels' PSFs, in one common basis."""
+"""Regularised inverses of all levels' PSFs, in one common basis."""
 
 import dataclasses
 
@@ -13,24 +13,24 @@ from coded_aperture_ros.optics import PsfStack
 
 # Model errors whose inverse filters span those of all in between.
 MODEL_ERRORS = np.array([0.06, 0.1, 0.3])
-_ROWS_AT_A_TIME = 16
+_ROWS_PER_BATCH = 16
 # A basis filter with less than this share of the power of the strongest one is rounding error.
-_LEAST_POWER = 1e-8
+_MIN_POWER_SHARE = 1e-8
 
 
 def wiener_filters(
     transfer: NDArray[np.complex64], prior: FloatArray, model_errors: DoubleArray, noise: float
 ) -> NDArray[np.complex64]:
-    """Return the transforms of the inverse filters of one or more PSFs.
+    """Transforms of the inverse filters of one or more PSFs, complex64 [..., E, rows, columns].
 
-    ``K = conj(H) S / ((|H|^2 + e^2) S + s^2)``, scaled by ``1 + e^2`` so that flat areas keep
-    their brightness. It minimises thesis eq. 6.27 for one plane, with the power spectrum ``S`` of
-    natural images as the prior and noise ``s``. The model error ``e`` stands for what the
-    assumption of one plane leaves unexplained, as a fraction of the texture at every frequency;
-    it bounds the gain where the PSF passes little.
+    ``K = conj(H) S / ((|H|^2 + e^2) S + s^2)``, scaled by ``1 + e^2`` so that flat areas keep their
+    brightness. It minimises thesis eq. 6.27 for one plane, with the power spectrum ``S`` of natural
+    images as the prior and noise ``s``. The model error ``e`` stands for the error of the
+    assumption of one plane, as a fraction of the texture at every frequency; it bounds the gain
+    where the PSF passes little.
 
     `transfer` has the transforms ``H`` [..., rows, columns], `prior` is ``S`` [rows, columns], see
-    `image_prior`. The filters of the E `model_errors` are complex64 [..., E, rows, columns].
+    `image_prior`; there are E `model_errors`.
     """
     transfer = transfer[..., None, :, :]
     error = (model_errors**2).astype(np.float32)[:, None, None]
@@ -41,7 +41,7 @@ def wiener_filters(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class InverseBasis:
-    """A few filters whose combinations give the inverse filters of all levels."""
+    """Filters whose combinations are the inverse filters of all levels."""
 
     stack: PsfStack
     # Each is the sum, with these weights [L, G, R], of the inverse filters of all levels for each
@@ -55,10 +55,10 @@ class InverseBasis:
 
     @classmethod
     def learn(cls, stack: PsfStack, noise: float, rank: int) -> "InverseBasis":
-        """Factor the inverse filters of a PSF stack at a given rank.
+        """Basis of the inverse filters of a PSF stack, of a given rank.
 
-        The factorisation is best for blurred photographs: each frequency counts as much as there
-        is of it in them. Filters that resemble each other need, and get, a smaller rank.
+        The factorisation is best for blurred photographs: each frequency is weighted by its share
+        in them. Filters that resemble each other need, and get, a smaller rank.
         """
         prior, transfers = _coarse_model(stack)
         weight = np.sqrt(prior * np.mean(np.abs(transfers) ** 2, axis=0) + noise**2)
@@ -68,27 +68,27 @@ class InverseBasis:
         # There are far fewer filters than frequencies: decompose the small Gram matrix.
         rows = filters.view(np.float32)
         powers, vectors = np.linalg.eigh(rows.astype(np.float64) @ rows.T)
-        rank = min(rank, int(np.sum(powers > _LEAST_POWER * powers[-1])))
+        rank = min(rank, int(np.sum(powers > _MIN_POWER_SHARE * powers[-1])))
         leading = vectors[:, ::-1][:, :rank].astype(np.float32)
         generators = leading.reshape(len(stack), len(MODEL_ERRORS), -1)
         return cls(stack, generators, noise, leading.T @ filters, weight)
 
     def transforms(self, shape: Shape) -> NDArray[np.complex64]:
-        """Return the transforms [R, rows, columns // 2 + 1] of the basis for images of `shape`."""
+        """Transforms [R, rows, columns // 2 + 1] of the basis for images of `shape`."""
         prior = image_prior(shape)
         transfers = np.array([transfer_function(psf, shape) for psf in self.stack.psfs])
         weights = self.generators.reshape(-1, self.generators.shape[-1]).T
         basis = np.empty((len(weights), *prior.shape), np.complex64)
         # Some rows at a time: the inverse filters of all levels would fill the memory.
-        for start in range(0, shape[0], _ROWS_AT_A_TIME):
-            rows = slice(start, start + _ROWS_AT_A_TIME)
+        for start in range(0, shape[0], _ROWS_PER_BATCH):
+            rows = slice(start, start + _ROWS_PER_BATCH)
             filters = wiener_filters(transfers[:, rows], prior[rows], MODEL_ERRORS, self.noise)
             flat = filters.reshape(weights.shape[1], -1).view(np.float32)
             basis[:, rows] = (weights @ flat).view(np.complex64).reshape(basis[:, rows].shape)
         return basis
 
     def coefficients(self, model_errors: DoubleArray, noise: float) -> FloatArray:
-        """Return the combinations [L, E, R] that come nearest to the inverse filters.
+        """Combinations [L, E, R] nearest to the inverse filters.
 
         They are scaled so that flat areas keep their brightness exactly.
         """

@@ -1,4 +1,4 @@
-"""Closed-form deblurring: every pixel filtered by the inverse of its own level's PSF."""
+"""Closed-form deblurring: each pixel filtered by the inverse of its own level's PSF."""
 
 from functools import cache, lru_cache
 from typing import Generic, TypeVar
@@ -29,8 +29,8 @@ _EXTENSION_PX = 32
 # There is a basis for each of these noises; the nearest one is used.
 _NOISES = (0.001, 0.003, 0.01, 0.03)
 # Frequencies that `HalfBandFilters` deblur, cycles/px: all below the first, none above the second.
-_ALL_BELOW = 0.17
-_NONE_ABOVE = 0.25
+_PASS_BELOW = 0.17
+_STOP_ABOVE = 0.25
 # Colour differences have less texture than brightness, but as much noise: they are deblurred as if
 # they had so many times more, and by half as many kernels.
 COLOUR_NOISE = 2.0
@@ -61,38 +61,38 @@ class InverseFilters:
         self._lookup_table = lru_cache(maxsize=32)(self._new_lookup_table)
 
     def prepare(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        """Make the filters for frames of `shape` (rows, columns) before the first one."""
         for noise in _NOISES[:-1]:
             self._transforms(noise, periodic_shape(shape, self._extension_px))
 
-    def places(self, blur: FloatArray) -> IndexArray:
-        """Return the place of every pixel in the tables of coefficients, of any rank and noise.
+    def table_indices(self, blur: FloatArray) -> IndexArray:
+        """Index of each pixel in the tables of coefficients, of any rank and noise.
 
         `blur` has signed blur sizes in px of the frame [rows / reduction, columns / reduction].
         """
         least = float(self.model_errors[0])
         log_error = _log_model_error(blur, self.reduction, least)
-        error = _index_among(np.log(self.model_errors), log_error)
+        error = _fractional_index(np.log(self.model_errors), log_error)
         place = self.table_steps(blur).astype(np.float32)
         place *= self.steps_per_error * (len(self.model_errors) - 1) + 1
         place += np.rint(error * self.steps_per_error)
         return place.astype(np.intp)
 
     def table_steps(self, blur: FloatArray) -> IndexArray:
-        """Return the step of every signed blur size among those of the tables."""
-        level = _index_among(self._stack.blur_sizes_px[self._order], blur)
+        """Step of each signed blur size among those of the tables."""
+        level = _fractional_index(self._stack.blur_sizes_px[self._order], blur)
         return np.rint(level * _STEPS_PER_LEVEL).astype(np.int32)
 
     def apply(
-        self, channels: list[FloatArray], places: IndexArray, noise: float
+        self, channels: list[FloatArray], table_indices: IndexArray, noise: float
     ) -> list[FloatArray]:
-        """Deblur channels of a frame by their `places`; `noise` is its standard deviation, > 0."""
+        """Deblurred channels of a frame; `noise` is its standard deviation, > 0."""
         shape = channels[0].shape
         transforms, lookup = self._filters(shape, noise)
         weights = [np.empty(0, np.float32)] * len(lookup)  # of every kernel in every pixel
 
         def weigh(kernel: int, _: int) -> None:
-            weights[kernel] = cv2.resize(np.take(lookup[kernel], places), shape[::-1])
+            weights[kernel] = cv2.resize(np.take(lookup[kernel], table_indices), shape[::-1])
 
         self._workers.each(weigh, range(len(lookup)))
         return [self._filter(channel, transforms, weights) for channel in channels]
@@ -100,7 +100,7 @@ class InverseFilters:
     def _filters(
         self, shape: tuple[int, ...], noise: float
     ) -> tuple[NDArray[np.complex64], FloatArray]:
-        """Return the kernels' transforms for images of a shape, and the table of coefficients."""
+        """Kernels' transforms for images of a shape, and the table of coefficients."""
         basis_noise = min(_NOISES, key=lambda known: abs(np.log(known / noise)))
         periodic = periodic_shape((shape[0], shape[1]), self._extension_px)
         # Steps of a tenth of a decade: there are few different tables.
@@ -126,7 +126,7 @@ class InverseFilters:
         return self._basis(noise).transforms(shape)
 
     def _new_lookup_table(self, basis_noise: float, tenths: int) -> FloatArray:
-        """Coefficients [R, steps of level * steps of model error], interpolated."""
+        """Interpolated coefficients [R, steps of level * steps of model error]."""
         table = self._basis(basis_noise).coefficients(self.model_errors, 10 ** (tenths / 10))
         table = table[self._order]
         for axis, steps in ((0, _STEPS_PER_LEVEL), (1, self.steps_per_error)):
@@ -138,20 +138,20 @@ class InverseFilters:
         return np.ascontiguousarray(table.reshape(-1, table.shape[-1]).T)
 
 
-def _index_among(places: NDArray[np.floating], values: FloatArray) -> NDArray[np.floating]:
-    """Return fractional indices of values among ascending places, those beyond at the ends."""
-    last = len(places) - 1
-    steps = np.diff(places)
+def _fractional_index(grid: NDArray[np.floating], values: FloatArray) -> NDArray[np.floating]:
+    """Fractional indices of values in an ascending grid, those beyond at the ends."""
+    last = len(grid) - 1
+    steps = np.diff(grid)
     if last == 0 or not steps[0] or np.ptp(steps) > 1e-6 * np.abs(steps).mean():
-        return np.interp(values, places, np.arange(last + 1))
+        return np.interp(values, grid, np.arange(last + 1))
     # Equally spaced, as they usually are: several times as fast.
-    first = np.float32(places[0])
-    step = np.float32((places[-1] - places[0]) / last)
+    first = np.float32(grid[0])
+    step = np.float32((grid[-1] - grid[0]) / last)
     return np.clip((values - first) / step, 0, np.float32(last))
 
 
 def _log_model_error(blur: FloatArray, reduction: int, least: float) -> FloatArray:
-    """Logarithm of every pixel's model error, from how much the blur size changes around it."""
+    """Logarithm of each pixel's model error, from the change of the blur size around it."""
     variance = local_variance(blur, _SURROUNDINGS_PX // reduction | 1)
     variance *= np.float32(_ERROR_PER_PX**2)
     variance += np.float32(least**2)
@@ -159,11 +159,10 @@ def _log_model_error(blur: FloatArray, reduction: int, least: float) -> FloatArr
 
 
 class HalfBandFilters(InverseFilters):
-    """The filters of `InverseFilters` for the lower half of the frequencies in each direction.
+    """`InverseFilters` for the lower half of the frequencies in each direction.
 
-    What they change in a frame of half the size is enlarged, and added to the frame. The upper
-    half of the frequencies stays as it is: a PSF of more than a few pixels leaves next to nothing
-    there.
+    The change of a frame of half the size is enlarged, and added to the frame. The upper half of
+    the frequencies stays: a PSF of more than a few pixels leaves next to nothing there.
     """
 
     reduction = 4
@@ -173,37 +172,37 @@ class HalfBandFilters(InverseFilters):
         self._extension_px = -(-self._extension_px // 2)
 
     def prepare(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        """Make the filters for frames of `shape` (rows, columns) before the first one."""
         super().prepare((-(-shape[0] // 2), -(-shape[1] // 2)))
 
     def apply(
-        self, channels: list[FloatArray], places: IndexArray, noise: float
+        self, channels: list[FloatArray], table_indices: IndexArray, noise: float
     ) -> list[FloatArray]:
-        """Deblur the channels of a frame; see `InverseFilters.apply`."""
+        """Deblurred channels of a frame; see `InverseFilters.apply`."""
         halves = [cv2.pyrDown(channel) for channel in channels]
-        changes = super().apply(halves, places, noise)
+        changes = super().apply(halves, table_indices, noise)
         size = channels[0].shape[::-1]
         pairs = zip(channels, changes, strict=True)
         return [channel + cv2.pyrUp(change, dstsize=size) for channel, change in pairs]
 
     def _new_transforms(self, noise: float, shape: Shape) -> NDArray[np.complex64]:
-        """Return the transforms of the kernels, less the frame itself, at the lower half.
+        """Transforms of the kernels, less the frame itself, at the lower half.
 
         The weights of the kernels keep the brightness of flat areas. So they give the frame back
-        where each kernel is a multiple of it, and what is more is the change.
+        where each kernel is a multiple of it, and the rest is the change.
         """
         whole = self._basis(noise).transforms((2 * shape[0], 2 * shape[1]))
         rows = np.fft.fftfreq(shape[0], 1 / shape[0]).astype(np.intp)
         lower = whole[:, rows, : shape[1] // 2 + 1]
         down = np.fft.fftfreq(shape[0]) / 2
         across = np.fft.rfftfreq(shape[1]) / 2
-        share = _share(down)[:, None] * _share(across)
+        share = _band_gain(down)[:, None] * _band_gain(across)
         return ((lower - lower[:, :1, :1]) * share).astype(np.complex64)
 
 
-def _share(frequency: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Return how much of the change is wanted, over what making smaller and larger leaves of it."""
-    above = (np.abs(frequency) - _ALL_BELOW) / (_NONE_ABOVE - _ALL_BELOW)
+def _band_gain(frequency: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Wanted share of the change, over the share that resampling leaves."""
+    above = (np.abs(frequency) - _PASS_BELOW) / (_STOP_ABOVE - _PASS_BELOW)
     wanted = 0.5 + 0.5 * np.cos(np.pi * np.clip(above, 0, 1))
     # OpenCV's pyramids smooth with the binomial of five, twice.
     return np.asarray(wanted / np.cos(np.pi * frequency) ** 8)
@@ -213,13 +212,13 @@ Filters = TypeVar("Filters", bound=InverseFilters)
 
 
 class OpponentFilters(Generic[Filters]):
-    """The filters of a camera for the brightness of frames, and for their colour differences."""
+    """Filters of a camera for brightness, and for colour differences."""
 
     def __init__(self, make: type[Filters], stack: PsfStack, rank: int, workers: Workers) -> None:
         self._brightness = make(stack, rank, workers)
         self._colour = make(stack, max(rank // 2, 2), workers)
 
     def prepare(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of `shape` (rows, columns) would wait for."""
+        """Make the filters for frames of `shape` (rows, columns) before the first one."""
         self._brightness.prepare(shape)
         self._colour.prepare(shape)

@@ -1,4 +1,4 @@
-"""What the methods share that solve for the whole frame at once, by conjugate gradients."""
+"""Methods that solve for the whole frame at once, by conjugate gradients."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -22,14 +22,14 @@ from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponent
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
 # Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
-_OCCLUSION_BYTES = 512 * 2**20
+_MAX_OCCLUSION_BYTES = 512 * 2**20
 # How much of what is hidden is seen, about.
-_SEEN_OF_HIDDEN = 0.02
+_HIDDEN_VISIBILITY = 0.02
 # How much of the blend there is in the result, where the depth is known and where it is not, and
 # how far around that is looked at, px. They are wrong in other places: the mean gains up to
 # 0.4 dB with estimated depth, and loses nothing with the true one.
-_OF_BLEND = 0.1
-_OF_BLEND_IN_GAPS = 0.6
+_BLEND_SHARE = 0.1
+_BLEND_SHARE_IN_GAPS = 0.6
 _GAP_PX = 9
 # Ranges of blur sizes that the preconditioners tell apart.
 RANGES = 4
@@ -39,7 +39,7 @@ Linear = Callable[[Any], Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fit:
-    """A frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``."""
+    """Frame to be explained by a sharp scene: ``min ||g - H_d f||^2 + alpha prior(f)``."""
 
     operator: BlurOperator  # H_d
     channels: list[FloatArray]  # g [rows, columns]: brightness and colour differences
@@ -49,11 +49,11 @@ class Fit:
     noise: float  # standard deviation
     config: DeblurConfig  # with a factor of alpha, and when to stop
     progress: Progress = iter
-    shines: BoolArray | None = None  # pixels whose brightness is at least g's, if any
+    clipped: BoolArray | None = None  # pixels whose brightness is at least g's, if any
 
 
 class Iterative:
-    """A `Method` that minimises thesis eq. 6.27, beginning with the closed form.
+    """`Method` that minimises thesis eq. 6.27, beginning with the closed form.
 
     `minimise` returns the channels of the sharp scene within the frame.
     """
@@ -79,7 +79,7 @@ class Iterative:
         self._blend = blend
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
-        """Return the all-in-focus frame; see `Method`."""
+        """All-in-focus frame; see `Method`."""
         count = problem.frame_count
         most = float(np.max(count))
         noise = problem.noise / float(np.sqrt(most))
@@ -100,19 +100,19 @@ class Iterative:
                 noise,
                 self._config,
                 problem.progress,
-                problem.shines if problem.shines.any() else None,
+                problem.clipped if problem.clipped.any() else None,
             )
         )
         video.keep(restored)
         if self._blend_for(problem) is not None:
             known = cv2.blur(problem.known.astype(np.float32), (_GAP_PX, _GAP_PX))
-            share = _OF_BLEND_IN_GAPS + np.float32(_OF_BLEND - _OF_BLEND_IN_GAPS) * known
+            share = _BLEND_SHARE_IN_GAPS + np.float32(_BLEND_SHARE - _BLEND_SHARE_IN_GAPS) * known
             pairs = zip(restored, closed_forms, strict=True)
             restored = [each + share * (blend - each) for each, blend in pairs]
         return from_opponents(restored)
 
     def _closed_forms(self, problem: Problem, noise: float) -> list[FloatArray]:
-        """Return about what the scene is."""
+        """Closed-form estimate of each channel."""
         blur = problem.blur_size_px
         channels = problem.channels
         if (blend := self._blend_for(problem)) is not None:
@@ -132,24 +132,24 @@ def blur_operator(
     occlusion: str = "auto",
     motion_px: FloatArray | None = None,
 ) -> BlurOperator:
-    """Return the blur of a scene with these blur sizes; see `DeblurConfig` for `occlusion`."""
+    """Blur operator of a scene with these blur sizes; see `DeblurConfig` for `occlusion`."""
     if motion_px is not None:
         return SpreadingBlur(basis, blur_size_px, workers, motion_parts(motion_px))
     # It needs to know what is in front, and memory.
-    fits = basis.in_pixels and basis.kernels[0].size * blur_size_px.size <= _OCCLUSION_BYTES
-    reckons = {"yes": True, "no": False, "auto": fits}
-    if reckons[occlusion]:
+    fits = basis.in_pixels and basis.kernels[0].size * blur_size_px.size <= _MAX_OCCLUSION_BYTES
+    modelled = {"yes": True, "no": False, "auto": fits}
+    if modelled[occlusion]:
         return OccludedBlur(basis, blur_size_px, workers)
     return SpreadingBlur(basis, blur_size_px, workers)
 
 
 def preconditioner(
-    fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penalty: Any, of_hidden: Any
+    fit: Fit, ranges: list[tuple[Any, Any]], weight: float, penalty: Any, hidden_diagonal: Any
 ) -> Linear:
-    """Return what nearly solves a system.
+    """Approximate inverse of a system.
 
     In each range of blur sizes it is one Fourier transform; the second plane, of which little is
-    seen, is divided by what it counts.
+    seen, is divided by its diagonal.
     """
     operator = fit.operator
     inverses = [(share, 1 / (weight * power + penalty)) for share, power in ranges]
@@ -167,7 +167,9 @@ def preconditioner(
         front = sum(sums[1:], sums[0])
         if operator.hidden is None:
             return front[None]
-        return np.stack([front, operator.hidden * scene[1] / (_SEEN_OF_HIDDEN + of_hidden)])
+        return np.stack(
+            [front, operator.hidden * scene[1] / (_HIDDEN_VISIBILITY + hidden_diagonal)]
+        )
 
     return solve
 
@@ -181,32 +183,31 @@ def conjugate_gradients(
     iterations: int,
     steps: Iterable[Any] = repeat(None),
 ) -> tuple[Any, int]:
-    """Solve ``system(x) = right_side``.
+    """Solution of ``system(x) = right_side``, and the number of iterations.
 
     Stops when the gradient (thesis eq. 6.28) is below `tolerance` times the right side's norm, or
-    after so many iterations; returns the solution, and how many it took. `system`, and its near
-    inverse `preconditioner`, are linear, symmetric and positive definite. Arrays are float32. Every
-    iteration takes one of `steps`.
+    after so many iterations. `system`, and its approximate inverse `preconditioner`, are linear,
+    symmetric and positive definite. Arrays are float32. Each iteration takes one of `steps`.
     """
     solution = start + 0
     residual = right_side - system(solution)
-    enough = tolerance**2 * _product(right_side, right_side)
+    enough = tolerance**2 * _inner_product(right_side, right_side)
     direction = 0 * solution
     last = 1.0
     for iteration, _ in zip(range(iterations), steps, strict=False):
-        if _product(residual, residual) <= enough:
+        if _inner_product(residual, residual) <= enough:
             return solution, iteration
         conditioned = preconditioner(residual)
-        product = _product(residual, conditioned)
+        product = _inner_product(residual, conditioned)
         direction *= product / last if iteration else 0
         direction += conditioned
         last = product
         image = system(direction)
-        step = product / _product(direction, image)
+        step = product / _inner_product(direction, image)
         solution += step * direction
         residual -= step * image
     return solution, iterations
 
 
-def _product(first: Any, second: Any) -> float:
+def _inner_product(first: Any, second: Any) -> float:
     return float((first * second).sum())

@@ -1,4 +1,4 @@
-"""The blur levels that deblurring needs: those of a bank, or rendered, without learning one."""
+"""Blur levels for deblurring: those of a bank, or rendered without one."""
 
 import dataclasses
 
@@ -10,7 +10,7 @@ from coded_aperture_ros.optics import Camera, PsfStack
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RenderedLevels:
-    """The PSFs of a camera file: all that deblurring needs of a bank, without learning one."""
+    """PSFs of a camera file: all that deblurring needs of a bank, without learning one."""
 
     stack: PsfStack
     mask_digest: str
@@ -20,7 +20,7 @@ class RenderedLevels:
 
     @property
     def window_px(self) -> int:
-        """Side of the smallest frame."""
+        """Side of the smallest frame, px."""
         return self.stack.psfs.shape[1]
 
     def for_view(self, camera: Camera | None) -> "RenderedLevels":

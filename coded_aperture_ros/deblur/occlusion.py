@@ -1,4 +1,4 @@
-"""Blur with occlusion: foregrounds hide a part of what is behind them, and only a part."""
+"""Blur with occlusion: foregrounds hide a part of what is behind them."""
 
 import dataclasses
 from functools import cached_property
@@ -10,24 +10,24 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import nearest_index
-from coded_aperture_ros.deblur.operator import BlurOperator, frame_within, scene_around
+from coded_aperture_ros.deblur.operator import BlurOperator, crop_to_frame, extend_to_scene
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.visibility import NOTHING, least_towards, rays
+from coded_aperture_ros.deblur.visibility import NO_SURFACE, quadrant_minimum, trace_visibility
 
 # Neighbouring pixels that differ by more are an edge, where something may be hidden.
 _EDGE_PX = 1.0
 # Rows that a thread works on at once.
 _BAND_ROWS = 16
-_WHOLE = 255  # weights are kept as bytes
-_FAINT = 1e-3  # taps of a PSF that are less, of its largest
+_MAX_WEIGHT = 255  # weights are kept as bytes
+_MIN_TAP_SHARE = 1e-3  # taps of a PSF that are less, of its largest
 
 
 class OccludedBlur(BlurOperator):
-    """Every pixel collects the light of all rays through the aperture that nothing stops.
+    """Blur where each pixel collects the light of all unobstructed rays through the aperture.
 
-    The scene has two planes [2, rows, columns]: what the pinhole in the middle of the aperture
-    sees, and behind foregrounds, as far as any ray can reach, what goes on there of the surface
-    beside them. With ``V(x, y)`` = 1 where nothing is in front (see `rays`)::
+    The scene has two planes [2, rows, columns]: the view of a pinhole in the middle of the
+    aperture, and behind foregrounds, as far as any ray can reach, the continuation of the surface
+    beside them. With ``V(x, y)`` = 1 where nothing is in front (see `trace_visibility`)::
 
         (H_d f)(x) = sum_y h_d(y)(x - y) V(x, y) f(y)  /  sum_y h_d(y)(x - y) V(x, y)
 
@@ -41,7 +41,7 @@ class OccludedBlur(BlurOperator):
     ) -> None:
         super().__init__(basis, blur_size_px.shape, basis.margin_px, workers)
         rows, columns = self.shape
-        surfaces = _Surfaces.of(scene_around(blur_size_px, self), self.margin_px)
+        surfaces = _Surfaces.from_front(extend_to_scene(blur_size_px, self), self.margin_px)
         self.hidden = surfaces.hidden
         self._origin = surfaces.origin
         self._steps = basis.table_steps(surfaces.front)
@@ -56,15 +56,15 @@ class OccludedBlur(BlurOperator):
 
         def weigh(top: int, _: int) -> None:
             band = slice(top, min(top + _BAND_ROWS, rows))
-            of_hidden = light.of_hidden(band)
-            weights = light.of_front(band)
+            hidden_weights = light.hidden_weights(band)
+            weights = light.front_weights(band)
             # As bytes, of the largest weight of each pixel.
-            unit = np.float32(_WHOLE) / np.maximum(weights.max(axis=0), np.float32(1e-9))
+            unit = np.float32(_MAX_WEIGHT) / np.maximum(weights.max(axis=0), np.float32(1e-9))
             weights *= unit
             np.rint(weights, out=weights)
             self._weights[:, band] = weights
             total = weights.sum(axis=0)
-            place, pixel, share = of_hidden
+            place, pixel, share = hidden_weights
             share = share * unit.ravel()[pixel]
             np.add.at(total.ravel(), pixel, share)
             self._scale[band] = 1 / np.maximum(total, np.float32(1))
@@ -76,18 +76,18 @@ class OccludedBlur(BlurOperator):
             np.concatenate([of_band[top][part] for top in bands]) for part in range(3)
         )
 
-    def around(self, frame: FloatArray) -> FloatArray:
-        """Extend a frame to a scene, and continue it behind foregrounds."""
-        front = scene_around(frame, self)
+    def extend(self, frame: FloatArray) -> FloatArray:
+        """Scene from a frame, continued beyond its borders and behind foregrounds."""
+        front = extend_to_scene(frame, self)
         return np.stack([front, np.where(self.hidden, front.ravel()[self._origin], 0)])
 
     def forward(self, scene: FloatArray) -> FloatArray:
-        """Blur a scene."""
+        """Frame of a scene."""
         frame = np.empty(self.shape, np.float32)
 
         def add(top: int, _: int) -> None:
             band = slice(top, top + _BAND_ROWS)
-            collected(self._weights[:, band], self._first, scene[0, top:], frame[band])
+            collect(self._weights[:, band], self._first, scene[0, top:], frame[band])
 
         self.workers.each(add, range(0, self.shape[0], _BAND_ROWS))
         light = self._share * scene[1].ravel()[self._place]
@@ -96,7 +96,7 @@ class OccludedBlur(BlurOperator):
         return frame
 
     def adjoint(self, frame: FloatArray) -> FloatArray:
-        """Apply the transpose."""
+        """Transpose of `forward` applied to a frame."""
         frame = frame * self._scale
         # Each thread has its own scene: bands of rows overlap by the margin.
         shape = (2, *self.scene_shape)
@@ -118,16 +118,16 @@ class OccludedBlur(BlurOperator):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Surfaces:
-    """Signed blur sizes of a scene [rows, columns]: of what is in front, and of what is behind."""
+    """Signed blur sizes of a scene [rows, columns]: in front, and behind."""
 
     front: FloatArray
-    behind: FloatArray  # NOTHING where nothing is hidden
+    behind: FloatArray  # NO_SURFACE where nothing is hidden
     hidden: BoolArray
     origin: IndexArray  # which pixel of the front goes on there
     near_edges: BoolArray  # where something may stand in the way
 
     @classmethod
-    def of(cls, front: FloatArray, reach_px: int) -> "_Surfaces":
+    def from_front(cls, front: FloatArray, reach_px: int) -> "_Surfaces":
         around = np.ones((3, 3), np.uint8)
         least = cv2.erode(front, around)
         farther = front - least > _EDGE_PX  # beside something nearer
@@ -138,7 +138,7 @@ class _Surfaces:
         else:
             origin = np.zeros(front.shape, np.intp)
             hidden = np.zeros(front.shape, bool)
-        behind = np.where(hidden, front.ravel()[origin], np.float32(NOTHING))
+        behind = np.where(hidden, front.ravel()[origin], np.float32(NO_SURFACE))
         edge = (cv2.dilate(front, around) - least > _EDGE_PX).astype(np.uint8)
         near_edges = cv2.dilate(edge, np.ones((2 * reach_px + 3,) * 2, np.uint8)) > 0
         return cls(front, behind, hidden, origin, near_edges)
@@ -146,7 +146,7 @@ class _Surfaces:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Light:
-    """How much light reaches the pixels of bands of rows; see `rays`."""
+    """Light that reaches the pixels of bands of rows; see `trace_visibility`."""
 
     operator: OccludedBlur
     surfaces: _Surfaces
@@ -155,19 +155,19 @@ class _Light:
 
     @cached_property
     def _least(self) -> FloatArray:
-        return least_towards(self.surfaces.front, self.operator.margin_px)
+        return quadrant_minimum(self.surfaces.front, self.operator.margin_px)
 
     @cached_property
     def _near_edges(self) -> BoolArray:
-        return np.ascontiguousarray(frame_within(self.surfaces.near_edges, self.operator))
+        return np.ascontiguousarray(crop_to_frame(self.surfaces.near_edges, self.operator))
 
-    def of_front(self, band: slice) -> FloatArray:
-        """Return the weights of what is in front [K, rows, columns]."""
-        return self._of(self.surfaces.front, self.operator._steps, band)
+    def front_weights(self, band: slice) -> FloatArray:
+        """Weights of what is in front [K, rows, columns]."""
+        return self._weights(self.surfaces.front, self.operator._steps, band)
 
-    def of_hidden(self, band: slice) -> tuple[IndexArray, IndexArray, FloatArray]:
-        """Return where what is seen of the hidden is, by which of the band's pixels, how much."""
-        weights = self._of(self.surfaces.behind, self.steps_behind, band)
+    def hidden_weights(self, band: slice) -> tuple[IndexArray, IndexArray, FloatArray]:
+        """Position of visible hidden points, the band's pixel that sees each, and its weight."""
+        weights = self._weights(self.surfaces.behind, self.steps_behind, band)
         weights *= self._near_edges[band]  # farther from edges nothing hidden is seen
         seen = np.flatnonzero(weights)  # a third of the time of `nonzero`
         offset, pixel = np.divmod(seen, weights[0].size)
@@ -176,21 +176,21 @@ class _Light:
         place = (row + band.start + down) * self.operator.scene_shape[1] + column + right
         return place.astype(np.int32), pixel.astype(np.int32), weights.ravel()[seen]
 
-    def _of(self, sizes: FloatArray, steps: IndexArray, band: slice) -> FloatArray:
+    def _weights(self, sizes: FloatArray, steps: IndexArray, band: slice) -> FloatArray:
         front = self.surfaces.front
         offsets = self.operator._offsets
         shape = len(self.taps), band.stop - band.start, self.operator.shape[1]
         weights = np.empty(shape, np.float32)
         scene = front, self._least, sizes, steps, self._near_edges
         place = float(front.min()), band.start, self.operator.margin_px
-        rays(scene, self.taps, offsets, place, weights)
+        trace_visibility(scene, self.taps, offsets, place, weights)
         return weights
 
 
 def _taps(basis: PsfBasis) -> tuple[IndexArray, FloatArray]:
-    """Return offsets [K, 2] from a pixel to points, and the light from there [K, steps]."""
+    """Offsets [K, 2] from a pixel to points, and the light from there [K, steps]."""
     psfs = np.maximum(basis.psfs(), 0)
-    psfs[psfs < _FAINT * psfs.max(axis=(1, 2), keepdims=True)] = 0
+    psfs[psfs < _MIN_TAP_SHARE * psfs.max(axis=(1, 2), keepdims=True)] = 0
     # The ray that reaches x from x + offset comes from the PSF at -offset.
     taps = np.moveaxis(psfs[:, ::-1, ::-1], 0, -1)
     used = np.argwhere(taps.max(axis=-1))
@@ -247,5 +247,5 @@ def _spread_plain(
 # The sums over all offsets of a band of rows of the frame, and their transpose. `weights` are bytes
 # [K, rows, columns], `first` where the band's first pixel has each offset [K, 2] in the scene,
 # which begins with the band's row.
-collected = Compiled(_collect_loop, _collect_plain)
+collect = Compiled(_collect_loop, _collect_plain)
 spread = Compiled(_spread_loop, _spread_plain)

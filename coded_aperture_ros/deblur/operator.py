@@ -1,4 +1,4 @@
-"""The blur of a whole frame, by depth and motion, as a linear operator, and its adjoint."""
+"""Blur of a whole frame, by depth and motion, as a linear operator with its adjoint."""
 
 import abc
 import dataclasses
@@ -16,7 +16,7 @@ from coded_aperture_ros.frames import periodic_shape, transfer_function
 from coded_aperture_ros.likelihood.motion import motion_kernel
 
 # Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
-_MOST_MOTIONS = 8
+_MAX_MOTIONS = 8
 # Motions are told apart in steps of this, px.
 _STEP_PX = 0.25
 
@@ -25,8 +25,8 @@ class BlurOperator(abc.ABC):
     """``H_d`` of thesis eq. 3.27: from a sharp scene to the coded frame without noise.
 
     The scene is larger than the frame by a margin on every side, for light that comes from beyond
-    the frame's border. The frame has only what was really measured: nothing wraps around. Scenes
-    have one plane, or two with what is `hidden` behind foregrounds [planes, *scene_shape].
+    the frame's border. The frame has only measured pixels: nothing wraps around. Scenes have one
+    plane, or a second one with what is `hidden` behind foregrounds [planes, *scene_shape].
     """
 
     hidden: BoolArray | None = None  # where the second plane has something [*scene_shape]
@@ -43,25 +43,25 @@ class BlurOperator(abc.ABC):
 
     @abc.abstractmethod
     def forward(self, scene: FloatArray) -> FloatArray:
-        """Blur a scene, float32 [planes, *scene_shape]; return the frame, float32 of `shape`."""
+        """Frame, float32 of `shape`, of a scene, float32 [planes, *scene_shape]."""
 
     @abc.abstractmethod
     def adjoint(self, frame: FloatArray) -> FloatArray:
-        """Apply the transpose of `forward` to a frame; return a scene."""
+        """Scene [planes, *scene_shape]: the transpose of `forward` applied to a frame."""
 
-    def around(self, frame: FloatArray) -> FloatArray:
-        """Extend a frame to a scene."""
-        return scene_around(frame, self)[None]
+    def extend(self, frame: FloatArray) -> FloatArray:
+        """Scene [planes, *scene_shape] from a frame, continued beyond its borders."""
+        return extend_to_scene(frame, self)[None]
 
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Divide the scene among ranges of blur sizes; see `PsfBasis.ranges`."""
+        """Shares and powers of ranges of blur sizes; see `PsfBasis.ranges`."""
         return self._basis.ranges(self._steps, count)
 
 
-def scene_around(
+def extend_to_scene(
     frame: FloatArray, operator: BlurOperator, border: int = cv2.BORDER_REPLICATE
 ) -> FloatArray:
-    """Extend a frame to one plane of a scene."""
+    """One plane of a scene [*scene_shape] from a frame, continued beyond its borders."""
     margin = operator.margin_px
     below = operator.scene_shape[0] - operator.shape[0] - margin
     right = operator.scene_shape[1] - operator.shape[1] - margin
@@ -69,26 +69,26 @@ def scene_around(
     return np.asarray(scene, np.float32)
 
 
-def frame_within(scene: Any, operator: BlurOperator) -> Any:
-    """Return the part of a plane, or of each, that the frame shows."""
+def crop_to_frame(scene: Any, operator: BlurOperator) -> Any:
+    """Part of a plane, or of each, that the frame shows."""
     margin, (rows, columns) = operator.margin_px, operator.shape
     return scene[..., margin : margin + rows, margin : margin + columns]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionParts:
-    """The motion of a frame: M ways to the right, and down, and which of them each pixel has."""
+    """M motions of a frame, right and down, and which of them each pixel has."""
 
     vectors_px: FloatArray  # [M, 2]
     labels: IndexArray  # [rows, columns]
 
     def traces(self) -> list[FloatArray]:
-        """Return the PSF of every motion."""
+        """PSF of each motion."""
         return [motion_kernel((right, down)) for right, down in self.vectors_px]
 
 
 def motion_parts(motion_px: FloatArray) -> MotionParts:
-    """Divide a map [rows, columns, 2] among the motions that occur most; none where not finite."""
+    """Most frequent motions of a map [rows, columns, 2]; no motion where it is not finite."""
     known = np.isfinite(motion_px).all(axis=2, keepdims=True)
     coarse = np.rint(np.where(known, motion_px, 0) / _STEP_PX)
     # Blur does not tell one way along a line from the other.
@@ -99,7 +99,7 @@ def motion_parts(motion_px: FloatArray) -> MotionParts:
     found, labels, counts = np.unique(
         coarse.reshape(-1, 2), axis=0, return_inverse=True, return_counts=True
     )
-    kept = np.argsort(-counts, kind="stable")[:_MOST_MOTIONS]
+    kept = np.argsort(-counts, kind="stable")[:_MAX_MOTIONS]
     apart = np.minimum(
         *(np.linalg.norm(found[:, None] - sign * found[kept], axis=2) for sign in (1, -1))
     )
@@ -108,7 +108,7 @@ def motion_parts(motion_px: FloatArray) -> MotionParts:
 
 
 class SpreadingBlur(BlurOperator):
-    """Every point of the scene spreads its light by the PSF of its own depth, and of its motion.
+    """Blur where each point spreads its light by the PSF of its own depth, and of its motion.
 
     The columns of the thesis' ``H_d`` (eq. 3.26) are those PSFs. They are combinations ``h_d =
     sum_r c_r(d) k_r`` of R kernels (see `PsfBasis`). Where things move, each part ``S_m`` of the
@@ -116,12 +116,12 @@ class SpreadingBlur(BlurOperator):
 
         H_d f = sum_m t_m * sum_r k_r * (c_r(d) S_m f)  /  (the same of f = 1)
 
-    one Fourier transform for each kernel and motion, whatever the number of levels and the relief.
-    The denominator, which is 1 on a plane, keeps the brightness near depth edges, where light from
-    behind a foreground is missing and that of others takes its place.
+    with one Fourier transform for each kernel and motion, whatever the number of levels and the
+    relief. The denominator, which is 1 on a plane, keeps the brightness near depth edges, where
+    light from behind a foreground is missing and that of others takes its place.
 
-    `blur_size_px` is that of every pixel [rows, columns], signed and finite. `motion` is of the
-    same size; by default nothing moves.
+    `blur_size_px` [rows, columns] is signed and finite. `motion` has the same size; by default
+    nothing moves.
     """
 
     def __init__(
@@ -135,12 +135,12 @@ class SpreadingBlur(BlurOperator):
         reach_px = max((len(trace) // 2 for trace in traces), default=0)
         super().__init__(basis, blur_size_px.shape, basis.margin_px + reach_px, workers)
         self._transforms = basis.transforms(self.scene_shape)
-        self._steps = basis.table_steps(scene_around(blur_size_px, self))
+        self._steps = basis.table_steps(extend_to_scene(blur_size_px, self))
         self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
         self._parts: list[FloatArray] = []
         if motion is not None:
-            labels = scene_around(motion.labels.astype(np.float32), self)
+            labels = extend_to_scene(motion.labels.astype(np.float32), self)
             self._parts = [(labels == part).astype(np.float32) for part in range(len(traces))]
         self._terms = list(np.ndindex(max(len(traces), 1), len(self._shares)))
         self._scale = np.ones(self.shape, np.float32)
@@ -155,7 +155,7 @@ class SpreadingBlur(BlurOperator):
         return transform * self._traces[part] if self._traces else transform
 
     def forward(self, scene: FloatArray) -> FloatArray:
-        """Blur a scene."""
+        """Frame of a scene."""
         sums = [np.zeros_like(self._transforms[0]) for _ in range(self.workers.threads)]
 
         def add(term: tuple[int, int], thread: int) -> None:
@@ -165,11 +165,11 @@ class SpreadingBlur(BlurOperator):
 
         self.workers.each(add, self._terms, sums=True)
         blurred = scipy.fft.irfft2(np.sum(sums, axis=0), self.scene_shape)
-        return frame_within(blurred, self) * self._scale
+        return crop_to_frame(blurred, self) * self._scale
 
     def adjoint(self, frame: FloatArray) -> FloatArray:
-        """Apply the transpose."""
-        spectrum = scipy.fft.rfft2(scene_around(frame * self._scale, self, cv2.BORDER_CONSTANT))
+        """Transpose of `forward` applied to a frame."""
+        spectrum = scipy.fft.rfft2(extend_to_scene(frame * self._scale, self, cv2.BORDER_CONSTANT))
         sums = [np.zeros(self.scene_shape, np.float32) for _ in range(self.workers.threads)]
 
         def add(term: tuple[int, int], thread: int) -> None:
@@ -180,7 +180,7 @@ class SpreadingBlur(BlurOperator):
         return np.sum(sums, axis=0)[None]
 
     def ranges(self, count: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Divide the scene among ranges of blur sizes, and motions."""
+        """Shares and powers of ranges of blur sizes, and of motions."""
         ranges = super().ranges(count)
         moving = list(zip(self._parts, self._traces, strict=True))
         return [

@@ -1,4 +1,4 @@
-"""What sharp images look like: small differences nearly everywhere."""
+"""Sparse prior of sharp images: small differences nearly everywhere."""
 
 import cv2
 import numpy as np
@@ -14,14 +14,14 @@ _SMALL = 0.01
 
 
 def differences(image: FloatArray) -> list[FloatArray]:
-    """Return first and second differences of an image, each of its shape; 0 across its border."""
+    """First and second differences of an image, each of its shape; 0 across its border."""
     down = _difference(image, 0)
     right = _difference(image, 1)
     return [down, right, *(_difference(*pair) for pair in ((down, 0), (right, 1), (down, 1)))]
 
 
 def differences_adjoint(parts: list[FloatArray]) -> FloatArray:
-    """Apply the transpose of `differences`."""
+    """Transpose of `differences`."""
     down, right, down_down, right_right, down_right = parts
     down = down + _adjoint(down_down, 0) + _adjoint(down_right, 1)
     right = right + _adjoint(right_right, 1)
@@ -29,7 +29,7 @@ def differences_adjoint(parts: list[FloatArray]) -> FloatArray:
 
 
 def difference_powers(shape: Shape) -> list[FloatArray]:
-    """Return the power spectra of the `differences` of periodic images, as by ``rfft2``."""
+    """Power spectra of the `differences` of periodic images, as by ``rfft2``."""
     down = 2 - 2 * np.cos(2 * np.pi * np.fft.fftfreq(shape[0]))[:, None]
     right = 2 - 2 * np.cos(2 * np.pi * np.fft.rfftfreq(shape[1]))[None, :]
     powers = np.broadcast_arrays(down, right, down**2, right**2, down * right)
@@ -37,52 +37,57 @@ def difference_powers(shape: Shape) -> list[FloatArray]:
 
 
 class SparsePrior:
-    """The gradient of ``sum |D f|^0.7`` near a scene, as a linear operator.
+    """Gradient of ``sum |D f|^0.7`` near a scene, as a linear operator.
 
-    The prior lets few large differences stand and presses many small ones down, as edges and smooth
-    areas in photographs are. It is minimised by a sequence of quadratic ones, each with weights
-    from the last solution `scenes`, float32 [planes, rows, columns] for each channel: one for each
-    of the `differences`, 1 for a small first difference. All channels of a colour image share their
-    edges. Where there is a second plane, `hidden` [rows, columns], it is judged together with what
-    is beside it in the first.
+    The prior keeps few large differences and suppresses many small ones, as edges and smooth areas
+    in photographs are. It is minimised by a sequence of quadratic ones, each with weights from the
+    last solution.
+
+    Parameters
+    ----------
+    scenes : list of ndarray, float32 [planes, rows, columns]
+        Last solution of each channel. There is a weight for each of the `differences`, 1 for a
+        small first difference. All channels of a colour image share their edges.
+    hidden : ndarray of bool [rows, columns] or None
+        Where there is a second plane. It is judged together with what is beside it in the first.
     """
 
     def __init__(self, scenes: list[FloatArray], hidden: BoolArray | None) -> None:
         self._hidden = hidden
-        self.of_front = np.stack(_weights([scene[0] for scene in scenes]))
+        self.front_weights = np.stack(_weights([scene[0] for scene in scenes]))
         if hidden is not None:
             around = cv2.dilate(hidden.astype(np.uint8), np.ones((5, 5), np.uint8))
             behind = _weights([np.where(hidden, scene[1], scene[0]) for scene in scenes])
-            self.of_behind = np.stack(behind) * around
+            self.behind_weights = np.stack(behind) * around
 
     def __call__(self, scene: FloatArray) -> FloatArray:
-        """Return the gradient of a scene [planes, rows, columns]."""
+        """Gradient at a scene [planes, rows, columns]."""
         gradient = np.empty_like(scene)
-        weighted_differences(scene[0], self.of_front, gradient[0])
+        weighted_differences(scene[0], self.front_weights, gradient[0])
         if self._hidden is not None:
             behind = np.where(self._hidden, scene[1], scene[0])
-            weighted_differences(behind, self.of_behind, gradient[1])
+            weighted_differences(behind, self.behind_weights, gradient[1])
             gradient[0] += np.where(self._hidden, 0, gradient[1])
             gradient[1] *= self._hidden
         return gradient
 
     def power(self, shape: Shape) -> FloatArray:
-        """Return about the power spectrum of the first plane's prior, as by ``rfft2``."""
+        """Approximate power spectrum of the first plane's prior, as by ``rfft2``."""
         # Typical weights: between the arithmetic mean, of smooth areas, and the harmonic one, of
         # edges.
-        typical = [np.sqrt(each.mean() / (1 / each).mean()) for each in self.of_front]
+        typical = [np.sqrt(each.mean() / (1 / each).mean()) for each in self.front_weights]
         pairs = zip(typical, difference_powers(shape), strict=True)
         return np.sum([size * power for size, power in pairs], axis=0)
 
-    def of_hidden(self) -> FloatArray:
-        """Return about how much each pixel of the second plane counts by itself."""
-        first = self.of_behind[:2].sum(axis=0)
-        second = self.of_behind[2:].sum(axis=0)
+    def hidden_diagonal(self) -> FloatArray:
+        """Approximate diagonal of the prior in the second plane [rows, columns]."""
+        first = self.behind_weights[:2].sum(axis=0)
+        second = self.behind_weights[2:].sum(axis=0)
         return 2 * first + 6 * second
 
 
 def _weights(channels: list[FloatArray]) -> list[FloatArray]:
-    """Return the weights of the `differences` of one image in some channels."""
+    """Weights of the `differences` of one image in some channels."""
     power = [np.zeros_like(channels[0]) for _ in _SHARES]
     for channel in channels:
         for total, part in zip(power, differences(channel), strict=True):

@@ -1,4 +1,4 @@
-"""What a method of deblurring gets, of a frame and of a video, and what it has to do."""
+"""Input of a deblurring method: one frame, the video before it; and the method's interface."""
 
 import dataclasses
 from typing import Protocol
@@ -12,31 +12,31 @@ from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.frames import StaticAverage, filled
 
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
-_DARKEST = -1.0
+_MIN_LIGHT = -1.0
 # Light that came through the mask spreads: what is narrower is a fault of the sensor, or a light so
 # small that what is around does not tell of it.
 _NARROW_PX = 3
 # Orthonormal: noise that is alike and independent in red, green and blue stays so.
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))
 # A place that is the mean of more frames than this has not changed.
-_STATIC = 1.5
+_STATIC_FRAMES = 1.5
 
 
 def measured_pixels(
     frame: FloatArray, saturation: float
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
-    """Return a frame whose pixels that were not measured are filled, which were, and which shine.
+    """Frame with filled gaps, and masks of measured and of saturated pixels [rows, columns].
 
-    Pixels that are not finite, far from [0, 1], or as bright as `saturation` have not been
-    measured. What has been measured [rows, columns] is so in all channels. What shines is in some
-    channels at least as bright as it is filled, and measured in the others.
+    Pixels that are not finite, far from [0, 1], or as bright as `saturation` are not measured. A
+    measured pixel is so in all channels. A saturated one is in some channels at least as bright as
+    it is filled, and measured in the others.
     """
     # A NaN makes both comparisons false.
-    measured = (frame > _DARKEST) & (frame < saturation)
+    measured = (frame > _MIN_LIGHT) & (frame < saturation)
     if measured.all():
         whole = np.ones(frame.shape[:2], bool)
         return np.ascontiguousarray(frame, np.float32), whole, ~whole
-    at_least = _wide((frame >= saturation) & np.isfinite(frame))
+    at_least = _wide_parts((frame >= saturation) & np.isfinite(frame))
     recorded = frame[at_least]
     channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
     frame = np.stack(
@@ -50,8 +50,8 @@ def measured_pixels(
     return np.ascontiguousarray(frame, np.float32), measured, known & ~measured
 
 
-def _wide(mask: BoolArray) -> BoolArray:
-    """Return the parts of a mask [rows, columns] or [rows, columns, 3] that are not narrow."""
+def _wide_parts(mask: BoolArray) -> BoolArray:
+    """Parts of a mask [rows, columns] or [rows, columns, 3] that are not narrow."""
     square = np.ones((_NARROW_PX, _NARROW_PX), np.uint8)
     core = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, square)
     return mask & (cv2.dilate(core, square) > 0)
@@ -60,9 +60,9 @@ def _wide(mask: BoolArray) -> BoolArray:
 def full_resolution_motion(
     motion_px: FloatArray | None, shape: tuple[int, ...]
 ) -> FloatArray | None:
-    """Return a map of motion in the size of the frame; None where nothing moves.
+    """Motion map [rows, columns, 2] in the size of the frame; None if nothing moves.
 
-    An `InputError` if it is not [rows, columns, 2], or not of a floating type.
+    Raises `InputError` if it is not [rows, columns, 2], or not of a floating type.
     """
     if motion_px is None:
         return None
@@ -78,7 +78,7 @@ def full_resolution_motion(
 
 
 def opponents(image: FloatArray) -> list[FloatArray]:
-    """Return brightness and two colour differences of an image; of a grey one just itself.
+    """Brightness and two colour differences of an image; a grey image alone.
 
     They are ``(r + g + b) / sqrt(3)``, ``(r - b) / sqrt(2)``, ``(r - 2 g + b) / sqrt(6)``.
     """
@@ -88,19 +88,19 @@ def opponents(image: FloatArray) -> list[FloatArray]:
 
 
 def from_opponents(channels: list[FloatArray]) -> FloatArray:
-    """Undo `opponents`."""
+    """Image of its `opponents`."""
     if len(channels) == 1:
         return channels[0]
     return np.asarray(cv2.transform(cv2.merge(channels), _OPPONENTS.T), np.float32)
 
 
 class VideoState:
-    """Averages the coded frames of a video, along non-local weights in time, before deblurring.
+    """Average of the coded frames of a video, along non-local weights in time, before deblurring.
 
     The thesis proposes such weights for depth (eq. 8.11) and leaves all-in-focus frames for later.
     Averaged coded frames have less noise, so that the filters may be sharper; averaged
-    all-in-focus frames would only be less noisy. What moves by a fraction of a pixel starts anew
-    and is deblurred as a single frame. With `most_frames` 0 nothing is remembered.
+    all-in-focus frames would only be less noisy. What moves by a fraction of a pixel restarts, and
+    is deblurred as a single frame. With `most_frames` 0 nothing is remembered.
     """
 
     def __init__(self, most_frames: float) -> None:
@@ -115,11 +115,11 @@ class VideoState:
         self._restored = None
 
     def add(self, channels: list[FloatArray], noise: float) -> tuple[list[FloatArray], FloatArray]:
-        """Return the mean with one more frame, and how many frames it is of.
+        """Mean with one more frame, and the number of frames in it.
 
-        Another number or size of channels than before begins another video. `noise` is the
-        standard deviation of one frame's. The count is that of the channel that changed most, at
-        least 1, float32 [rows, columns], or [1, 1] of single frames.
+        Another number or size of channels than before begins another video. `noise` is the standard
+        deviation of one frame's. The number is that of the channel that changed most, at least 1,
+        float32 [rows, columns], or [1, 1] of single frames.
         """
         if not self._most_frames:
             return channels, np.ones((1, 1), np.float32)
@@ -136,26 +136,26 @@ class VideoState:
         return [mean.copy() for mean, _ in means], np.asarray(frame_count, np.float32)
 
     def start(self, closed_form: list[FloatArray], frame_count: FloatArray) -> list[FloatArray]:
-        """Return where to begin to restore: the last result wherever nothing has changed."""
+        """Start of an iteration: the last result wherever nothing has changed."""
         if self._restored is None:
             return closed_form
         pairs = zip(self._restored, closed_form, strict=True)
-        return [np.where(frame_count > _STATIC, last, fresh) for last, fresh in pairs]
+        return [np.where(frame_count > _STATIC_FRAMES, last, fresh) for last, fresh in pairs]
 
     def keep(self, restored: list[FloatArray]) -> None:
-        """Remember a result, to begin with it next time."""
+        """Store a result, to begin with it next time."""
         if self._most_frames:
             self._restored = restored
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Problem:
-    """All that is known of one frame when its blur is to be removed."""
+    """One frame to be deblurred."""
 
     channels: list[FloatArray]  # [rows, columns], see `opponents`; averaged in a video
     frame_count: FloatArray  # that they are the mean of [rows, columns] or [1, 1]
     measured: BoolArray  # neither saturated nor impossible [rows, columns]
-    shines: BoolArray  # not measured, but at least as bright [rows, columns]
+    clipped: BoolArray  # not measured, but at least as bright [rows, columns]
     blur_size_px: FloatArray  # signed, finite; as much smaller as the method asks for
     known: BoolArray  # where a blur size was given [rows, columns]
     motion_px: FloatArray | None  # [rows, columns, 2]; None if nothing moves
@@ -164,10 +164,10 @@ class Problem:
 
 
 class Method(Protocol):
-    """One way to remove the blur.
+    """Deblurring method.
 
-    Its blur maps are `reduction` times smaller than the frame. `edge_reach_px` says how far it
-    keeps from edges of the depth, which may be off.
+    Its blur maps are `reduction` times smaller than the frame; `edge_reach_px` is its distance from
+    depth edges, which may be off.
     """
 
     reduction: int
@@ -175,7 +175,7 @@ class Method(Protocol):
     removes_motion: bool
 
     def restore(self, problem: Problem, video: VideoState) -> FloatArray:
-        """Return the all-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.
+        """All-in-focus frame [rows, columns] or [rows, columns, 3], not yet clipped.
 
-        A method that iterates begins with what `video` has, and leaves its result there.
+        An iterative method begins with what `video` has, and leaves its result there.
         """

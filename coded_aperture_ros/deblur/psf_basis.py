@@ -1,4 +1,4 @@
-"""The PSFs of all blur sizes as combinations of a few kernels."""
+"""PSFs of all blur sizes as combinations of a few kernels."""
 
 import dataclasses
 from functools import lru_cache
@@ -21,7 +21,7 @@ _STEPS = 16
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PsfBasis:
-    """A few kernels whose combinations are the PSFs of all blur sizes, fractional ones too."""
+    """Kernels whose combinations are the PSFs of all blur sizes, fractional ones too."""
 
     kernels: FloatArray  # [R, k, k]
     # How much of each there is in the PSFs [R, steps] of these signed sizes, which ascend, equally
@@ -32,9 +32,9 @@ class PsfBasis:
 
     @classmethod
     def from_stack(cls, stack: PsfStack, tolerance: float = _TOLERANCE) -> "PsfBasis":
-        """Factor a stack: the smallest basis that blurs photographs as well as is asked for.
+        """Smallest basis of a stack for blurred photographs.
 
-        Between two levels PSFs are interpolated linearly. What a blurred photograph lacks has a
+        Between two levels PSFs are interpolated linearly. The error of a blurred photograph has a
         standard deviation of at most `tolerance`, relative to that of the sharp one.
         """
         order = np.argsort(stack.blur_sizes_px)
@@ -68,24 +68,24 @@ class PsfBasis:
 
     @lru_cache(maxsize=2)  # noqa: B019 - as many sizes of frames as a camera has
     def transforms(self, shape: Shape) -> list[NDArray[np.complex64]]:
-        """Return the transforms of the kernels for images of a shape; see `transfer_function`."""
+        """Transforms of the kernels for images of a shape; see `transfer_function`."""
         return [transfer_function(kernel, shape) for kernel in self.kernels]
 
     @property
     def margin_px(self) -> int:
-        """How far a PSF reaches from its centre."""
+        """Half width of a PSF, px."""
         return self.kernels.shape[-1] // 2
 
     def table_steps(self, blur_size_px: FloatArray) -> IndexArray:
-        """Return the column of `table` for every blur size; sizes beyond get the last ones."""
+        """Column of `table` for each blur size; sizes beyond get the last ones."""
         steps = np.arange(len(self.table_sizes_px))
         return np.rint(np.interp(blur_size_px, self.table_sizes_px, steps)).astype(np.intp)
 
     def ranges(self, steps: IndexArray, count: int) -> list[tuple[FloatArray, FloatArray]]:
-        """Divide a scene with these `steps` among at most `count` ranges of blur sizes.
+        """Shares and powers of at most `count` ranges of blur sizes in a scene with these `steps`.
 
-        Each has a share [rows, columns], the square root of how far a pixel belongs to it, so that
-        the squares sum to one; and a power, as by ``rfft2``, the mean of ``|H|^2`` over its pixels.
+        Each range has a share [rows, columns], the square root of a pixel's membership, so that the
+        squares sum to one; and a power, as by ``rfft2``, the mean of ``|H|^2`` over its pixels.
         """
         shape = (steps.shape[0], steps.shape[1])
         # Powers are the transforms of autocorrelations, which are small images.
@@ -111,5 +111,5 @@ class PsfBasis:
         return divided
 
     def psfs(self) -> FloatArray:
-        """Return the PSFs of all `table_sizes_px` [steps, k, k]."""
+        """PSFs of all `table_sizes_px` [steps, k, k]."""
         return np.tensordot(self.table.T, self.kernels, axes=1)

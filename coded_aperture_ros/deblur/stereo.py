@@ -1,4 +1,4 @@
-"""3D pictures: what two eyes would see of an all-in-focus frame, given its depth."""
+"""Stereo pairs of an all-in-focus frame and its depth."""
 
 import dataclasses
 
@@ -11,21 +11,41 @@ from coded_aperture_ros.deblur.views import view_through
 from coded_aperture_ros.frames import check_frame
 
 # The few pixels beyond these percentiles of blur size, most of them wrong, do not set the scale.
-_EXTREMES = (1, 99)
+_PERCENTILES = (1, 99)
 # Relief that is no more than the error of the blur size is not made any larger.
-_LEAST_RELIEF_PX = 1.0
+_MIN_RELIEF_PX = 1.0
 # Of red, green and blue light, ITU-R BT.709.
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
 class Parallax:
-    """How disparity follows from blur size.
+    """Relation between disparity and blur size.
 
-    Both are linear in the inverse depth, so disparity is ``scale (screen - blur size)``, within
-    plus and minus `largest_px`. It is what a stereo camera sees whose baseline is `scale` times as
-    wide as the mask. What has a signed blur size of `screen_px` appears in the plane of the screen,
-    and what has a smaller one in front of it.
+    Both are linear in the inverse depth: disparity is ``scale (screen_px - blur size)``, within
+    plus and minus `largest_px`. It is that of a stereo camera whose baseline is `scale` times as
+    wide as the mask. A signed blur size of `screen_px` appears in the plane of the screen, and a
+    smaller one in front of it.
+
+    Parameters
+    ----------
+    screen_px : float
+        Blur size in the plane of the screen, px.
+    scale : float
+        Disparity per blur size.
+    largest_px : float
+        Largest disparity, px.
+
+    References
+    ----------
+    Martinello 2012, section 6.3.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> parallax = Parallax(screen_px=5.0, scale=2.0, largest_px=8.0)
+    >>> parallax.disparity_px(np.array([3.0, 5.0])).tolist()
+    [4.0, 0.0]
     """
 
     screen_px: float
@@ -34,21 +54,21 @@ class Parallax:
 
     @classmethod
     def from_scene(cls, blur_size_px: FloatArray, shift_px: float) -> "Parallax":
-        """Put the median of a scene at the screen, and give what is farthest from it `shift_px`.
+        """Parallax with the median of a scene at the screen, and `shift_px` for its extremes.
 
-        This is the largest distance between the two views of one point, > 0. A scene that is almost
-        flat, with a relief of less than 1 px of blur size, gets less. The blur sizes are signed,
-        and not finite where unknown; an `InputError` if all are.
+        `shift_px` is the largest distance between the two views of a point, > 0. A scene that is
+        almost flat, with a relief of less than 1 px of blur size, gets less. The blur sizes are
+        signed, and not finite where unknown; raises `InputError` if all are.
         """
         known = blur_size_px[np.isfinite(blur_size_px)]
         if known.size == 0:
             raise InputError("blur map: no pixel has a known depth")
-        nearest, screen, farthest = np.percentile(known, (_EXTREMES[0], 50, _EXTREMES[1]))
-        relief = max(screen - nearest, farthest - screen, _LEAST_RELIEF_PX)
+        nearest, screen, farthest = np.percentile(known, (_PERCENTILES[0], 50, _PERCENTILES[1]))
+        relief = max(screen - nearest, farthest - screen, _MIN_RELIEF_PX)
         return cls(float(screen), float(shift_px / relief), float(shift_px))
 
     def disparity_px(self, blur_size_px: FloatArray) -> FloatArray:
-        """Return how much farther to the right the left eye sees a point than the right eye."""
+        """Shift of the left view to the right, relative to the right view, px, float32."""
         disparity = self.scale * (self.screen_px - blur_size_px)
         return np.clip(disparity, -self.largest_px, self.largest_px).astype(np.float32)
 
@@ -56,10 +76,10 @@ class Parallax:
 def stereo_pair(
     sharp: FloatArray, blur_size_px: FloatArray, parallax: Parallax | float
 ) -> tuple[FloatArray, FloatArray]:
-    """Render the views of two eyes, at equal distances to the left and right of the given view.
+    """Views of two eyes, at equal distances to the left and right of the given view.
 
-    Surfaces are stretched and compressed without cracks, what is nearer covers what is farther, and
-    what appears from behind a foreground is filled with the mirrored background beside it.
+    Surfaces are stretched and compressed without cracks, nearer ones cover farther ones, and what
+    appears from behind a foreground is filled with the mirrored background beside it.
 
     Parameters
     ----------
@@ -82,6 +102,18 @@ def stereo_pair(
     InputError
         If the frame or the map has a wrong shape or type, no blur size is known, or the parallax is
         not positive or more than half of the frame's width.
+
+    References
+    ----------
+    Martinello 2012, section 6.3.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sharp = np.linspace(0, 1, 60, dtype=np.float32)[None].repeat(40, axis=0)
+    >>> left, right = stereo_pair(sharp, np.full((40, 60), 4, np.float32), 5.0)
+    >>> left.shape == right.shape == sharp.shape
+    True
     """
     check_frame(sharp)
     blur = filled_blur_map(blur_size_px, sharp)
@@ -94,7 +126,7 @@ def stereo_pair(
 
 
 def check_parallax(shift_px: float, width: int) -> None:
-    """Raise InputError unless views of a frame of so many columns can be so far apart."""
+    """Raise `InputError` unless views of a frame of so many columns can be so far apart."""
     if not 0 < shift_px < np.inf:
         raise InputError(f"parallax: expected more than 0 px, got {shift_px:g}")
     if 2 * shift_px > width:
@@ -104,14 +136,31 @@ def check_parallax(shift_px: float, width: int) -> None:
 
 
 def anaglyph(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return one picture for glasses with a red filter on the left and a cyan one on the right.
+    """Picture [rows, columns, 3] for glasses with a red left and a cyan right filter.
 
-    Red is the luminance of the left view, green and blue are those of the right one: the "half
-    color" anaglyph of P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at. The red of the left view
-    itself would make red and blue things bright for one eye and dark for the other.
+    Red is the luminance of the left view, green and blue are those of the right one ("half color"
+    anaglyph). The red of the left view itself would make red and blue things bright for one eye and
+    dark for the other.
 
-    Both are float32 in linear light, of one shape, else an `InputError`; the picture is [rows,
-    columns, 3].
+    Parameters
+    ----------
+    left, right : ndarray, float32, one shape
+        Linear light.
+
+    Raises
+    ------
+    InputError
+        If they differ in shape.
+
+    References
+    ----------
+    P. Wimmer, *Anaglyph Methods Comparison*, 3dtv.at.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> anaglyph(np.zeros((2, 2), np.float32), np.ones((2, 2), np.float32))[0, 0].tolist()
+    [0.0, 1.0, 1.0]
     """
     _check_pair(left, right)
     if left.ndim == 2:
@@ -120,7 +169,7 @@ def anaglyph(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def side_by_side(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Return one picture of twice the width, left on the left; else like `anaglyph`."""
+    """Picture of twice the width, left on the left; arguments and errors as of `anaglyph`."""
     _check_pair(left, right)
     return np.concatenate([left, right], axis=1)
 

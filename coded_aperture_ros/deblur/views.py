@@ -1,4 +1,4 @@
-"""The light field behind one frame: what is seen through each place of the aperture."""
+"""Views through the openings of the mask: the light field behind one frame."""
 
 import cv2
 import numpy as np
@@ -10,7 +10,7 @@ from coded_aperture_ros.frames import check_frame
 from coded_aperture_ros.optics import Mask
 
 # Groups of cells of a fine mask that let less light pass than this share of the clearest are shut.
-_SHUT = 0.2
+_MIN_TRANSMISSION = 0.2
 # Neighbouring pixels whose places come to differ by more belong to two surfaces.
 _TEAR_PX = 1.0
 # Pixels next to an edge have light of both sides. They stay with the foreground: left behind, they
@@ -19,9 +19,15 @@ _MIXED_PX = 2
 
 
 def opening_centres(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[float, float]]:
-    """Return the places of a mask's openings, as `view_through` takes them, by row and column.
+    """Positions of a mask's openings, as `view_through` takes them, by row and column.
 
-    Where a mask is more than `most` cells high or wide, the middles of the light of groups of them.
+    For masks of more than `most` cells a side, the centroids of groups of cells.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> opening_centres(Mask.from_rows(["100", "000", "001"]))[0, 0]
+    (-0.3333333333333333, -0.3333333333333333)
     """
     shape = mask.transmission.shape
     side = max(mask.transmission.shape)
@@ -30,18 +36,18 @@ def opening_centres(mask: Mask, most: int = 11) -> dict[tuple[int, int], tuple[f
     parts = np.array([np.ones(shape), *places]) * mask.transmission
     light, *moments = np.add.reduceat(np.add.reduceat(parts, rows, 1), columns, 2)
     down, right = np.array(moments) / np.maximum(light, 1e-9)
-    found = np.argwhere(light > _SHUT * light.max()).tolist()
+    found = np.argwhere(light > _MIN_TRANSMISSION * light.max()).tolist()
     return {(i, j): (float(down[i, j]), float(right[i, j])) for i, j in found}
 
 
 def view_through(
     sharp: FloatArray, blur_size_px: FloatArray, down: float, right: float
 ) -> FloatArray:
-    """Render what a pinhole at a place of the aperture sees.
+    """View of a pinhole at a position in the aperture, float32, like `sharp`, in [0, 1].
 
     A point of signed blur size S is seen `down` S lower and `right` S farther right than in the
-    all-in-focus frame, the view through the middle: what has a blur size of 0 stays. Nearer things
-    cover farther ones; what appears behind them is the mirrored background beside them.
+    all-in-focus frame, the view through the middle; a blur size of 0 stays. Nearer things cover
+    farther ones; what appears behind them is the mirrored background beside them.
 
     Parameters
     ----------
@@ -50,10 +56,18 @@ def view_through(
     down, right : float
         In units of the mask's extent, from its middle, in [-0.5, 0.5].
 
-    Returns
-    -------
-    ndarray, float32, like `sharp`
-        In [0, 1]. An `InputError` says what is wrong with the frame, the map or the place.
+    Raises
+    ------
+    InputError
+        If the frame, the map or the position cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> sharp = np.linspace(0, 1, 60, dtype=np.float32)[None].repeat(40, axis=0)
+    >>> view = view_through(sharp, np.full((40, 60), 4, np.float32), 0.0, 0.5)
+    >>> round(float(sharp[20, 30] - view[20, 32]), 3)
+    0.0
     """
     check_frame(sharp)
     if not max(abs(down), abs(right)) <= 0.5:
@@ -64,12 +78,12 @@ def view_through(
     elif right > 0:  # or in a mirror, as the nearer has to move the farther to the right
         view = view_through(sharp[:, ::-1], blur[:, ::-1], down, -right)[:, ::-1]
     else:
-        view = _moved(sharp, np.float32(right) * blur, down / right if right else 0.0)
+        view = _shifted_view(sharp, np.float32(right) * blur, down / right if right else 0.0)
     return np.ascontiguousarray(view)
 
 
-def _moved(sharp: FloatArray, shift: FloatArray, slope: float) -> FloatArray:
-    """Move pixels right by `shift`, the nearer the farther, and down by `slope` times that."""
+def _shifted_view(sharp: FloatArray, shift: FloatArray, slope: float) -> FloatArray:
+    """View with pixels moved right by `shift` px and down by `slope` times that."""
     for _ in range(_MIXED_PX):  # foregrounds take the pixels around them along
         nearer = cv2.dilate(shift, np.ones((3, 3), np.uint8))
         shift = np.where(nearer - shift > _TEAR_PX, nearer, shift)
@@ -80,17 +94,17 @@ def _moved(sharp: FloatArray, shift: FloatArray, slope: float) -> FloatArray:
     down = np.rint(slope * column).astype(np.intp)
     line = np.arange(-down.max(), height - down.min())[:, None]
     sheared = shift[np.clip(line + down, 0, height - 1), column]
-    seen = _seen_columns(sheared)[row - down + down.max(), column]
-    rows = (row + slope * (seen - column)).astype(np.float32)
+    source = _source_columns(sheared)[row - down + down.max(), column]
+    rows = (row + slope * (source - column)).astype(np.float32)
     sharp = np.ascontiguousarray(sharp, np.float32)
-    view = cv2.remap(sharp, seen, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    view = cv2.remap(sharp, source, rows, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
     return np.clip(view, 0, 1)
 
 
-def _seen_columns(shift: FloatArray) -> FloatArray:
-    """Return which fractional column of the frame each pixel of a view shows [rows, columns].
+def _source_columns(shift: FloatArray) -> FloatArray:
+    """Fractional column of the frame that each pixel of a view shows [rows, columns].
 
-    `shift` says how far each pixel of the frame moves to the right; the nearer, the farther.
+    `shift` is how far each pixel of the frame moves to the right; the nearer, the farther.
     """
     height, width = shift.shape
     column = np.arange(width, dtype=np.float32)
@@ -103,21 +117,21 @@ def _seen_columns(shift: FloatArray) -> FloatArray:
     start[:, 1:] = np.where(torn, start[:, 1:], half_way)
     stop[:, :-1] = np.where(torn, stop[:, :-1], half_way)
 
-    seen = np.tile(column, (height, 1))
-    _fill_holes(seen, shift, place, torn)
+    source = np.tile(column, (height, 1))
+    _fill_holes(source, shift, place, torn)
     # Where several pixels land on one, the leftmost is the nearest: it has moved the most. So all
     # are painted from right to left, and need no comparison of their depths.
     row = np.repeat(np.arange(height), width)
     start = start[:, ::-1].ravel()
     stop = stop[:, ::-1].ravel()
-    pixel, target, distance = _painted(row, start, stop, width)
+    pixel, target, distance = _covered_pixels(row, start, stop, width)
     origin = np.tile(column[::-1], height)[pixel]
-    seen.reshape(-1)[target] = origin - np.float32(0.5) + distance / (stop - start)[pixel]
-    return seen
+    source.reshape(-1)[target] = origin - np.float32(0.5) + distance / (stop - start)[pixel]
+    return source
 
 
-def _fill_holes(seen: FloatArray, shift: FloatArray, place: FloatArray, torn: BoolArray) -> None:
-    """Paint what is behind all surfaces: backgrounds that go on, mirrored at their ends.
+def _fill_holes(source: FloatArray, shift: FloatArray, place: FloatArray, torn: BoolArray) -> None:
+    """Fill what is behind all surfaces: backgrounds continue, mirrored at their ends.
 
     A hole opens to the right of a pixel that moves less than its right neighbour, and so is the
     farther of the two; and at the borders of the view.
@@ -132,18 +146,18 @@ def _fill_holes(seen: FloatArray, shift: FloatArray, place: FloatArray, torn: Bo
     stop = np.concatenate([np.full(height, width, np.float32), place[row, last + 1] - 0.5])
     row = np.concatenate([every, row])
     last = np.concatenate([np.full(height, width - 1), last])
-    hole, target, distance = _painted(row, place[row, last] + np.float32(0.5), stop, width)
+    hole, target, distance = _covered_pixels(row, place[row, last] + np.float32(0.5), stop, width)
     span = (last - first[row, last])[hole]
-    seen.reshape(-1)[target] = last[hole] - _mirrored(distance, span)
+    source.reshape(-1)[target] = last[hole] - _mirrored_offset(distance, span)
 
     stop = place[:, 0] - np.float32(0.5)
-    hole, target, _ = _painted(every, np.zeros_like(stop), stop, width)
+    hole, target, _ = _covered_pixels(every, np.zeros_like(stop), stop, width)
     span = np.pad(torn, ((0, 0), (0, 1)), constant_values=True).argmax(axis=1)[hole]
-    seen.reshape(-1)[target] = _mirrored(stop[hole] - target % width, span)
+    source.reshape(-1)[target] = _mirrored_offset(stop[hole] - target % width, span)
 
 
-def _mirrored(distance: FloatArray, span: IndexArray) -> FloatArray:
-    """Return how far back to go for what lies beyond a surface's end, to and fro within its span.
+def _mirrored_offset(distance: FloatArray, span: IndexArray) -> FloatArray:
+    """Distance back into a surface for what lies beyond its end, to and fro within its span.
 
     The `distance` >= 0 is from the edge of the surface's last pixel.
     """
@@ -152,10 +166,10 @@ def _mirrored(distance: FloatArray, span: IndexArray) -> FloatArray:
     return np.minimum(period - np.abs(period - phase), span).astype(np.float32)
 
 
-def _painted(
+def _covered_pixels(
     row: IndexArray, start: FloatArray, stop: FloatArray, width: int
 ) -> tuple[IndexArray, IndexArray, FloatArray]:
-    """Go through the pixels of a view that intervals ``start <= column < stop`` of rows cover.
+    """Pixels of a view that intervals ``start <= column < stop`` of rows cover.
 
     Returns, for each, the index of its interval, in the order given; its flat index in a view of
     `width` columns; and its distance from the interval's start.

@@ -1,4 +1,4 @@
-"""Which points of a scene each part of the aperture sees, past what is in front of them."""
+"""Visibility of the points of a scene through the aperture, past surfaces in front of them."""
 
 import cv2
 import numpy as np
@@ -13,16 +13,17 @@ _IN_FRONT_PX = 0.5
 _CLOSED_PX = 0.25
 # Points that are less blurred are met by next to one ray: nothing is between.
 _SHARP_PX = 0.3
-NOTHING = -1e9
+NO_SURFACE = -1e9
 _Scene = tuple[FloatArray, FloatArray, FloatArray, IndexArray, BoolArray]
 _Place = tuple[float, int, int]
 
 
-def least_towards(front: FloatArray, reach_px: int) -> FloatArray:
-    """Return the least size within reach above left, above right, below left and below right.
+def quadrant_minimum(front: FloatArray, reach_px: int) -> FloatArray:
+    """Smallest size within reach in each of the four quadrants [4, rows, columns].
 
-    Of each pixel of `front` [4, rows, columns]: where it is not less than the size of a point
-    there, nothing is in front of that.
+    They are above left, above right, below left and below right.
+
+    Where it is not below the size of a point of `front`, nothing is in front of that point.
     """
     square = np.ones((reach_px + 1,) * 2, np.uint8)
     corners = ((reach_px, reach_px), (0, reach_px), (reach_px, 0), (0, 0))
@@ -52,7 +53,7 @@ def _loop(
             tap = taps[k]
             for x in range(columns):
                 size = sizes_here[x]
-                weights_here[x] = tap[steps_here[x]] if size > NOTHING else 0
+                weights_here[x] = tap[steps_here[x]] if size > NO_SURFACE else 0
                 if not edges_here[x] or weights_here[x] == 0:
                     continue
                 if length == 0:
@@ -93,7 +94,7 @@ def _plain(
         down, right = offsets[k]
         length = max(abs(down), abs(right))
         size = sizes[py + down, px + right]
-        weight = np.where(size > NOTHING, taps[k, steps[py + down, px + right]], 0)
+        weight = np.where(size > NO_SURFACE, taps[k, steps[py + down, px + right]], 0)
         if length == 0:
             weight[near_edges & (front[py, px] < size - _IN_FRONT_PX)] = 0
             weights[k] = weight
@@ -114,14 +115,14 @@ def _plain(
         weights[k] = weight
 
 
-# Writes how much light reaches each pixel of some rows from the points so far from it [K, rows,
-# columns]. The ray of pixel x that meets a point of blur size s at y is, where it is as far from
-# the surface in focus as blur size t says, at ``x + t / s (y - x)``. A surface stops it whose
-# size there is t.
+# Writes the light that reaches each pixel of some rows from points at each offset [K, rows,
+# columns]. The ray of pixel x that meets a point of blur size s at y is, where its distance from
+# the surface in focus has blur size t, at ``x + t / s (y - x)``. A surface whose size there is t
+# stops it.
 #
-# Of the scene `front` has the size that every pixel shows, which is a margin larger than the frame
-# on all sides, `least` those of `least_towards`, `sizes` those of the points, `NOTHING` where there
-# are none, `steps` the columns of `taps` [K, steps] for them, the light at each of the `offsets`
-# [K, 2], and `edges` the pixels where rays are followed, from size `nearest` on [frame rows,
-# columns]. The place has this size, the first row and the margin.
-rays = Compiled(_loop, _plain)
+# Of the scene, `front` has the size that every pixel shows, with a margin around the frame,
+# `least` the `quadrant_minimum`, `sizes` those of the points, `NO_SURFACE` where there are none,
+# `steps` the columns of `taps` [K, steps] for them, the light at each of the `offsets` [K, 2], and
+# `edges` the pixels where rays are followed, from size `nearest` on [frame rows, columns]. The
+# place has this size, the first row and the margin.
+trace_visibility = Compiled(_loop, _plain)

@@ -8,7 +8,7 @@ from deblur_scene import blurred, edges_and_texture, levin_stack, relief
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.deblur.blend import unsupported_reason
 from coded_aperture_ros.deblur.blend.features import pack_cells, unpack_cells
-from coded_aperture_ros.deblur.blend.hypotheses import combined
+from coded_aperture_ros.deblur.blend.hypotheses import combine_hypotheses
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
@@ -137,7 +137,9 @@ def test_both_forms_combine_the_same():
     table = random.random((20, 3, 4)).astype(np.float32)
     which = np.array([[0, 2], [1, 0], [0, 1]])
     found = [np.empty((3, 9, 11), np.float32) for _ in range(3)]
-    for form, pictures in zip((combined, combined.plain, combined.loop), found, strict=True):
+    for form, pictures in zip(
+        (combine_hypotheses, combine_hypotheses.plain, combine_hypotheses.loop), found, strict=True
+    ):
         form(filtered, steps, table, which, pictures)
     assert found[0] == pytest.approx(found[1], rel=1e-5)
     assert found[2] == pytest.approx(found[1], rel=1e-5)

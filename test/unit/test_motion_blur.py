@@ -11,8 +11,8 @@ from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.deblur.blur_map import smoothed_over_surfaces
-from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within, motion_parts
+from coded_aperture_ros.deblur.blur_map import smooth_within_surfaces
+from coded_aperture_ros.deblur.operator import SpreadingBlur, crop_to_frame, motion_parts
 from coded_aperture_ros.deblur.problem import full_resolution_motion
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.design.fragmentation import (
@@ -63,15 +63,15 @@ def test_a_plane_that_moves_is_convolved_with_both():
     blur = np.full(SHAPE, STACK.blur_sizes_px[4], np.float32)
     motion = np.broadcast_to(np.float32([5.0, -3.0]), (*SHAPE, 2))
     operator = moving_blur(basis, blur, motion)
-    scene = operator.around(texture(*SHAPE))
+    scene = operator.extend(texture(*SHAPE))
     exact = fftconvolve(scene[0], blurred_psf(STACK.psfs[4], (5.0, -3.0)), mode="same")
-    assert operator.forward(scene) == pytest.approx(frame_within(exact, operator), abs=2e-4)
+    assert operator.forward(scene) == pytest.approx(crop_to_frame(exact, operator), abs=2e-4)
 
 
 def test_nothing_moves_is_defocus_alone():
     blur, motion_px = fields((0.0, 0.0))
     moving, static = moving_blur(BASIS, blur, motion_px), SpreadingBlur(BASIS, blur)
-    scene = static.around(texture(*SHAPE))
+    scene = static.extend(texture(*SHAPE))
     assert moving.forward(scene) == pytest.approx(static.forward(scene), abs=1e-5)
     assert sum(np.square(share) for share, _ in moving.ranges(3)) == pytest.approx(1, abs=1e-5)
 
@@ -80,7 +80,7 @@ def test_smoothed_blur_sizes_keep_their_edges():
     random = np.random.default_rng(0)
     true = np.where(np.arange(96) < 48, 5.0, 9.0) + np.zeros(SHAPE)
     noisy = (true + 0.3 * random.standard_normal(SHAPE)).astype(np.float32)
-    smoothed = smoothed_over_surfaces(noisy)
+    smoothed = smooth_within_surfaces(noisy)
     assert np.abs(smoothed - true).max() < 0.3
     assert np.abs(smoothed - true).mean() < 0.05
 
@@ -104,7 +104,7 @@ def test_deblurring_with_the_motion_is_better_where_it_was(method):
     sharp = texture(*SHAPE)
     blur, motion_px = fields((8.0, 0.0))
     operator = moving_blur(BASIS, blur, motion_px)
-    coded = operator.forward(operator.around(sharp))
+    coded = operator.forward(operator.extend(sharp))
     coded += 0.001 * np.random.default_rng(0).standard_normal(SHAPE).astype(np.float32)
     config = DeblurConfig(method=method, occlusion="no", noise=0.001, iterations=48)
     deblurrer = Deblurrer(STACK, config)

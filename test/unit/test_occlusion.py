@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from deblur_scene import levin_basis, relief
 
-from coded_aperture_ros.deblur.occlusion import OccludedBlur, collected, spread
-from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within
+from coded_aperture_ros.deblur.occlusion import OccludedBlur, collect, spread
+from coded_aperture_ros.deblur.operator import SpreadingBlur, crop_to_frame
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
-from coded_aperture_ros.deblur.visibility import least_towards, rays
+from coded_aperture_ros.deblur.visibility import quadrant_minimum, trace_visibility
 from coded_aperture_ros.optics import Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
@@ -40,7 +40,7 @@ def test_it_explains_a_traced_scene_better_than_layers_that_are_added(traced):
     assert near.mean() > 0.05
     errors = []
     for operator in (OccludedBlur(basis, blur), SpreadingBlur(basis, blur)):
-        left = (operator.forward(operator.around(sharp)) - coded)[BORDER]
+        left = (operator.forward(operator.extend(sharp)) - coded)[BORDER]
         errors.append(np.sqrt(np.mean(left[near] ** 2)))
     assert errors[0] < 0.6 * errors[1]
 
@@ -51,11 +51,11 @@ def test_what_is_hidden_is_seen_only_beside_foregrounds():
     blur[40:80, 40:90] = 3.0
     operator = OccludedBlur(levin_basis(), blur)
     margin = operator.margin_px
-    hidden = frame_within(operator.hidden, operator)
+    hidden = crop_to_frame(operator.hidden, operator)
     assert hidden[40:80, 40:90].any()
     assert not hidden[:40].any()
     assert not hidden[60, 40 + margin + 3 : 90 - margin - 3].any()
-    scene = operator.around(np.ones(blur.shape, np.float32))
+    scene = operator.extend(np.ones(blur.shape, np.float32))
     assert operator.forward(scene) == pytest.approx(1, abs=0.01)
     scene[1] = 0
     dark = operator.forward(scene) < 0.99
@@ -75,9 +75,11 @@ def test_both_forms_follow_the_same_rays(sign):
     offsets = np.argwhere(np.ones((9, 9))) - 4
     taps = random.random((81, 5)).astype(np.float32)
     edges = random.random((42, 52)) < 0.7
-    least = least_towards(front, 4)
+    least = quadrant_minimum(front, 4)
     forms = [np.empty((81, 10, 52), np.float32) for _ in range(3)]
-    for form, weights in zip((rays, rays.plain, rays.loop), forms, strict=True):
+    for form, weights in zip(
+        (trace_visibility, trace_visibility.plain, trace_visibility.loop), forms, strict=True
+    ):
         place = float(front.min()), 3, 4
         form((front, least, sizes, steps, edges), taps, offsets, place, weights)
     assert (forms[0] == 0).mean() > 0.15
@@ -92,7 +94,7 @@ def test_both_forms_add_up_the_same():
     offsets = np.argwhere(np.ones((5, 5))) - 2
     scene = random.random((20, 36)).astype(np.float32)
     found = [np.empty((6, 30), np.float32) for _ in range(2)]
-    for form, frame in zip((collected, collected.plain), found, strict=True):
+    for form, frame in zip((collect, collect.plain), found, strict=True):
         form(weights, offsets + 3, scene[4:], frame)
     assert found[0] == pytest.approx(found[1], rel=1e-4)
     scenes = [np.zeros((20, 36), np.float32) for _ in range(2)]

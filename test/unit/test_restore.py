@@ -26,7 +26,7 @@ from coded_aperture_ros.deblur.blur_map import (
 from coded_aperture_ros.deblur.iterative import Fit, conjugate_gradients
 from coded_aperture_ros.deblur.least_squares import restore_sparse
 from coded_aperture_ros.deblur.occlusion import OccludedBlur
-from coded_aperture_ros.deblur.operator import SpreadingBlur, frame_within
+from coded_aperture_ros.deblur.operator import SpreadingBlur, crop_to_frame
 from coded_aperture_ros.deblur.prior import (
     SparsePrior,
     difference_powers,
@@ -90,7 +90,7 @@ def test_adjoint_passes_the_dot_product_test(operator, basis, threads, sharp):
 def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stack, sharp):
     blur = operator(PsfBasis.from_stack(stack, 1e-6), np.full(sharp.shape, 7.0, np.float32))
     plane = np.random.default_rng(2).random(blur.scene_shape).astype(np.float32)
-    scene = blur.around(sharp)
+    scene = blur.extend(sharp)
     scene[0] = plane
     psf = render_psf(Mask.named("levin"), 7.0)
     margin = len(psf) // 2
@@ -104,7 +104,7 @@ def test_plane_is_convolved_with_its_psf_and_nothing_wraps_around(operator, stac
     beyond[:, rows:] += 1
     beyond[:, :, columns:] += 1
     assert blur.forward(beyond) == pytest.approx(blur.forward(scene), abs=1e-4)
-    assert frame_within(scene, blur)[0].shape == sharp.shape
+    assert crop_to_frame(scene, blur)[0].shape == sharp.shape
     flat = blur.forward(np.full(scene.shape, 0.4, np.float32))
     assert flat == pytest.approx(0.4, abs=1e-4)
 
@@ -116,11 +116,11 @@ def test_background_does_not_shine_through_a_foreground(basis, sharp):
     scene_of = np.where(blur == 1.0, 0.0, 1.0).astype(np.float32)
     occluded, spreading = OccludedBlur(basis, blur), SpreadingBlur(basis, blur)
     inside = np.s_[42:78, 42:88]
-    assert occluded.forward(occluded.around(scene_of))[inside].max() < 1e-3
-    assert spreading.forward(spreading.around(scene_of))[inside].max() > 0.1
+    assert occluded.forward(occluded.extend(scene_of))[inside].max() < 1e-3
+    assert spreading.forward(spreading.extend(scene_of))[inside].max() > 0.1
     # The wall keeps its brightness up to the square's edge.
     beside = np.s_[42:78, 92:100]
-    assert occluded.forward(occluded.around(scene_of))[beside].min() > 0.99
+    assert occluded.forward(occluded.extend(scene_of))[beside].min() > 0.99
 
 
 def test_ranges_divide_the_scene(basis, sharp):
@@ -200,10 +200,10 @@ def patch_covariance(image, side_px):
 def test_sparse_restoration_explains_the_frame(operator, basis, sharp):
     blur = operator(basis, relief(sharp.shape))
     noise = np.random.default_rng(5).normal(0, 0.002, sharp.shape).astype(np.float32)
-    coded = blur.forward(blur.around(sharp)) + noise
+    coded = blur.forward(blur.extend(sharp)) + noise
     sparse = restore_sparse(fit(blur, coded, coded, 1e-5, 60), 60, 8)
     assert psnr_db(sparse[0], sharp) > psnr_db(coded, sharp) + 4
-    residual = blur.forward(blur.around(sparse[0])) - coded
+    residual = blur.forward(blur.extend(sparse[0])) - coded
     assert residual[12:-12, 12:-12].std() < 0.003
 
 

@@ -19,7 +19,7 @@ def scene():
     """A frame with a square before a slant, its blur sizes, and the truth."""
     sharp, blur = edges_and_texture((12, 16), 8), relief(SHAPE)
     operator = blur_operator(PsfBasis.from_stack(levin_stack()), blur, Workers(), "yes")
-    coded = operator.forward(operator.around(sharp))
+    coded = operator.forward(operator.extend(sharp))
     noise = np.random.default_rng(0).normal(0, NOISE, SHAPE)
     return (coded + noise).astype(np.float32), blur, sharp
 

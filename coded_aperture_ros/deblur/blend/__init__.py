@@ -1,4 +1,4 @@
-"""Blends closed forms of several blur sizes by a small network that has learned what rings."""
+"""Blend of closed forms of several blur sizes by a small network."""
 
 from coded_aperture_ros.deblur.blend.blend import Blend, unsupported_reason
 

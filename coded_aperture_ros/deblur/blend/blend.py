@@ -1,4 +1,4 @@
-"""From a frame and its blur sizes to the blended picture."""
+"""Blended picture of a frame and its blur sizes."""
 
 import cv2
 import numpy as np
@@ -32,21 +32,23 @@ _PIXELS = CELL_PX**2
 
 
 # The most noise that it has seen, standard deviation; what asks for more is left to the filters.
-_MOST_NOISE = 0.005
+_MAX_TRAINED_NOISE = 0.005
 # Blur of which the network has seen pictures.
-_LARGEST_PX = 22.0
+_MAX_TRAINED_BLUR_PX = 22.0
 
 
 def unsupported_reason(stack: PsfStack) -> str:
-    """Return why PSFs are not such as the network was trained for; empty if they are."""
+    """Why PSFs are not such as the network was trained for; empty if they are."""
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
     largest = float(np.abs(stack.blur_sizes_px).max())
-    return f"its blur of {largest:.3g} px is above {_LARGEST_PX:g} px" * (largest > _LARGEST_PX)
+    return f"its blur of {largest:.3g} px is above {_MAX_TRAINED_BLUR_PX:g} px" * (
+        largest > _MAX_TRAINED_BLUR_PX
+    )
 
 
 class Blend(OpponentFilters[InverseHypotheses]):
-    """Weighs the hypotheses of every pixel, and adds a little; see `training/blend_network.py`.
+    """Weighted sum of the hypotheses of each pixel, with a correction by the network.
 
     Not for several threads at once.
     """
@@ -64,9 +66,9 @@ class Blend(OpponentFilters[InverseHypotheses]):
         noise: float,
         smoothness: float = 1.0,
     ) -> list[FloatArray]:
-        """Deblur the `opponents` of a frame.
+        """Deblurred `opponents` of a frame.
 
-        `blur` has the signed blur size of every pixel [rows, columns], and `known` where it was
+        `blur` has the signed blur size of each pixel [rows, columns], and `known` where it was
         measured. Closed forms and network allow for noise whose variance is `smoothness` times as
         large.
         """
@@ -78,26 +80,26 @@ class Blend(OpponentFilters[InverseHypotheses]):
         steps = np.stack([self._brightness.table_steps(each) for each in sizes])
         cells = pack_cells(self._brightness.compute(channels[0], steps, allowed))
         mean, scale = mean_and_contrast(cells[-_PIXELS:], noise)
-        seen = min(allowed, max(noise, _MOST_NOISE))
+        seen = min(allowed, max(noise, _MAX_TRAINED_NOISE))
         maps = cell_maps(sizes, known, scale, seen)
         shown = np.concatenate([(cells - mean) / scale, maps])
-        (told,) = self._network({"shown": shown[None]})
-        told = told.reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
-        weights = told[:-1]
+        (output,) = self._network({"shown": shown[None]})
+        output = output.reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
+        weights = output[:-1]
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
-        restored = [unpack_cells(_weighed(cells, weights) + told[-1] * scale, shape)]
+        restored = [unpack_cells(_weighted_sum(cells, weights) + output[-1] * scale, shape)]
         for channel in channels[1:]:
             of_colour = self._colour.compute(channel, steps, COLOUR_NOISE * allowed)
-            restored.append(unpack_cells(_weighed(pack_cells(of_colour), weights), shape))
-        return _without_fringes(restored) if len(restored) > 1 else restored
+            restored.append(unpack_cells(_weighted_sum(pack_cells(of_colour), weights), shape))
+        return _suppress_fringes(restored) if len(restored) > 1 else restored
 
 
-def _without_fringes(channels: list[FloatArray]) -> list[FloatArray]:
-    """Return brightness, and colour differences that are alike where brightness is."""
+def _suppress_fringes(channels: list[FloatArray]) -> list[FloatArray]:
+    """Brightness, and colour differences that are equal where brightness is."""
     image = cv2.merge([np.ascontiguousarray(channel) for channel in channels])
     smooth = cv2.bilateralFilter(image, _FRINGE_PX, _SAME_COLOUR, _FRINGE_PX / 2)
     return [channels[0], *cv2.split(smooth)[1:]]
 
 
-def _weighed(cells: FloatArray, weights: FloatArray) -> FloatArray:
+def _weighted_sum(cells: FloatArray, weights: FloatArray) -> FloatArray:
     return np.einsum("kprc,kprc->prc", cells.reshape(weights.shape), weights)

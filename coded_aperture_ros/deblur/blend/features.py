@@ -1,4 +1,4 @@
-"""What the network is shown: the hypotheses in cells of 4 x 4 pixels, and what is known of them."""
+"""Input of the network: hypotheses in cells of 4 x 4 pixels, and maps beside them."""
 
 import cv2
 import numpy as np
@@ -11,14 +11,14 @@ _SQUARE_PX = 2 * CELL_PX
 # Beside the hypotheses' pixels: blur sizes of the pixel, nearest and farthest surface beside it,
 # how much of it is known, and how strong the noise is.
 MAPS = 5
-_AROUND_CELLS = 9
+_CONTRAST_CELLS = 9
 # Of the scale that everything is divided by, in standard deviations of the noise.
-_LEAST_SCALE = 4.0
+_MIN_SCALE = 4.0
 _BLUR_UNIT_PX = 10.0
 
 
 def pack_cells(values: FloatArray) -> FloatArray:
-    """Return [n, rows, columns] as [n * 16, rows / 4, columns / 4]; padded by the last values."""
+    """Images [n, rows, columns] as cells [n * 16, rows / 4, columns / 4]; edges are repeated."""
     count, rows, columns = values.shape
     down = -rows % _SQUARE_PX
     right = -columns % _SQUARE_PX
@@ -33,26 +33,26 @@ def pack_cells(values: FloatArray) -> FloatArray:
 
 
 def unpack_cells(values: FloatArray, shape: Shape) -> FloatArray:
-    """Undo `pack_cells` of one image [16, rows / 4, columns / 4]."""
+    """Image of `shape` from its cells [16, rows / 4, columns / 4]."""
     _, rows, columns = values.shape
     parts = values.reshape(CELL_PX, CELL_PX, rows, columns).transpose(2, 0, 3, 1)
     return parts.reshape(CELL_PX * rows, CELL_PX * columns)[: shape[0], : shape[1]]
 
 
 def mean_and_contrast(of_frame: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
-    """Return local mean and contrast of the frame's cells [16, rows, columns], each [r, c]."""
-    side = (_AROUND_CELLS, _AROUND_CELLS)
+    """Local mean and contrast of the frame's cells [16, rows, columns], each [rows, columns]."""
+    side = (_CONTRAST_CELLS, _CONTRAST_CELLS)
     mean = cv2.blur(of_frame.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
     power = np.mean((of_frame - mean) ** 2, axis=0)
     power = cv2.blur(power, side, borderType=cv2.BORDER_REFLECT)
-    scale = np.sqrt(power + np.float32((_LEAST_SCALE * noise) ** 2) + np.float32(1e-8))
+    scale = np.sqrt(power + np.float32((_MIN_SCALE * noise) ** 2) + np.float32(1e-8))
     return mean, scale
 
 
 def cell_maps(
     sizes: list[FloatArray], known: BoolArray, scale: FloatArray, noise: float
 ) -> FloatArray:
-    """Return the maps [MAPS, rows, columns] beside the hypotheses of `hypothesis_blur_sizes`."""
+    """Maps [MAPS, rows, columns] beside the hypotheses of `hypothesis_blur_sizes`."""
     size = scale.shape[::-1]
 
     def small(values: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""What the closed form makes of a frame if a pixel has its own blur, or that of what is beside."""
+"""Closed forms of a frame for a pixel's own blur size, and for those of its neighbours."""
 
 import cv2
 import numpy as np
@@ -12,32 +12,32 @@ from coded_aperture_ros.frames import periodic, periodic_shape
 
 # Of the closed forms: whose blur size is taken (see `hypothesis_blur_sizes`), and which model error
 # bounds their gain. The frame itself is one more: that nothing is gained by changing it.
-OWN, NEARER, FARTHER, MORE = range(4)
-_TAKEN = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (MORE, 1)))
-HYPOTHESES = len(_TAKEN) + 1
+OWN, NEARER, FARTHER, LARGER = range(4)
+_HYPOTHESIS_PAIRS = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (LARGER, 1)))
+HYPOTHESES = len(_HYPOTHESIS_PAIRS) + 1
 # How far around a pixel the nearest and the farthest surface are looked for: about as far as light
 # of the largest blur comes from.
-_BESIDE_PX = 9
+_NEIGHBOURHOOD_PX = 9
 # How much larger a blur size is tried: what it changes tells how to correct an error of the depth.
-_MORE_PX = 0.8
+_INCREMENT_PX = 0.8
 
 
 def hypothesis_blur_sizes(blur: FloatArray) -> list[FloatArray]:
-    """Return blur sizes of a map by `OWN`, `NEARER`, `FARTHER` and `MORE`, signed, px."""
-    beside = np.ones((2 * _BESIDE_PX + 1,) * 2, np.uint8)
-    more = blur + np.where(blur < 0, np.float32(-_MORE_PX), np.float32(_MORE_PX))
+    """Blur sizes of a map by `OWN`, `NEARER`, `FARTHER` and `LARGER`, signed, px."""
+    beside = np.ones((2 * _NEIGHBOURHOOD_PX + 1,) * 2, np.uint8)
+    more = blur + np.where(blur < 0, np.float32(-_INCREMENT_PX), np.float32(_INCREMENT_PX))
     return [blur, cv2.erode(blur, beside), cv2.dilate(blur, beside), more]
 
 
 class InverseHypotheses(InverseFilters):
-    """The closed forms of a camera: the filters of `InverseFilters`, combined in several ways."""
+    """`InverseFilters` of a camera, combined for several blur sizes at each pixel."""
 
     reduction = 1
     model_errors = np.array([MODEL_ERRORS[0], 0.11, 0.2])
     steps_per_error = 1
 
     def compute(self, channel: FloatArray, steps: IndexArray, noise: float) -> FloatArray:
-        """Return the hypotheses [HYPOTHESES, rows, columns] of a channel; the last is itself.
+        """Hypotheses [HYPOTHESES, rows, columns] of a channel; the last is itself.
 
         `steps` are the `table_steps` of `hypothesis_blur_sizes` [4, rows, columns].
         """
@@ -60,7 +60,9 @@ class InverseHypotheses(InverseFilters):
             band = slice(top, top + _BAND_ROWS)
             # All kernels of a pixel side by side, as all are needed at once.
             of_pixels = np.ascontiguousarray(np.moveaxis(filtered[:, band], 0, -1))
-            combined(of_pixels, steps[:, band], table, _TAKEN, found[:-1, band])
+            combine_hypotheses(
+                of_pixels, steps[:, band], table, _HYPOTHESIS_PAIRS, found[:-1, band]
+            )
 
         self._workers.each(combine, range(0, rows, _BAND_ROWS))
         return found
@@ -95,5 +97,5 @@ def _plain(
 
 
 # From kernels' pictures [rows, columns, R], steps [4, rows, columns], a table [steps, errors, R]
-# and `_TAKEN` to hypotheses, which it writes to.
-combined = Compiled(_loop, _plain)
+# and `_HYPOTHESIS_PAIRS` to hypotheses, which it writes to.
+combine_hypotheses = Compiled(_loop, _plain)
