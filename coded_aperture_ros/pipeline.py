@@ -64,7 +64,8 @@ class FramePipeline:
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
     >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
     >>> frame = Frame(np.random.default_rng(0).random((96, 128), np.float32))
-    >>> pipeline = FramePipeline(bank)
+    >>> everywhere = DepthConfig(confidence_threshold=0.0, check_fit=False)
+    >>> pipeline = FramePipeline(bank, depth=everywhere)
     >>> estimate = pipeline(frame)
     >>> pipeline.deblur(frame, estimate).shape
     (96, 128)

@@ -37,7 +37,26 @@ def blur_levels(
     depth_range_m: tuple[float, float] | None = None,
     level_count: int = DEFAULT_LEVEL_COUNT,
 ) -> FilterBank | RenderedLevels:
-    """Return the levels of a bank, or render those of a camera for a range of depths."""
+    """Blur levels of a bank, or rendered for a camera and a depth range.
+
+    Parameters
+    ----------
+    camera : Camera
+    bank : FilterBank, optional
+        If given, it is returned.
+    depth_range_m : (float, float), optional
+        m; needed without a bank.
+    level_count : int, optional
+
+    Returns
+    -------
+    FilterBank or RenderedLevels
+
+    Raises
+    ------
+    InputError
+        If there is neither a bank nor a depth range, or the range does not suit the camera.
+    """
     if bank is not None:
         return bank
     if depth_range_m is None:

@@ -25,7 +25,7 @@ class View:
 
     Examples
     --------
-    >>> from coded_aperture_ros.optics import View
+    >>> from coded_aperture_ros.frames import View
     >>> View.whole(640, 480).whole_width
     640
     """
