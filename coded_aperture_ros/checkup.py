@@ -1,4 +1,4 @@
-"""Finds out what is wrong with a camera, a bank and frames before anybody relies on them."""
+"""Check of a camera, a bank and frames before they are used."""
 
 import dataclasses
 import math
@@ -17,21 +17,21 @@ from coded_aperture_ros.optics import Camera
 OK = "ok"
 WARNING = "warning"
 FAILED = "failed"
-# A hole's blur below this, px, is no code any more; an Airy disc of this radius hides it.
-_LEAST_HOLE_PX = 0.5
-_AIRY_PX = 1.0
-_FEWEST_LEVELS = 2.0
+# A hole with less blur, px, codes nothing; a larger Airy disc, px, hides it.
+_MIN_HOLE_BLUR_PX = 0.5
+_MAX_AIRY_RADIUS_PX = 1.0
+_MIN_LEVELS = 2.0
 _FEW_LEVELS = 5.0
-_LITTLE_LIGHT = 0.15
-_SATURATED_SOME = 0.01
-_SATURATED_MUCH = 0.1
+_MIN_OPEN_FRACTION = 0.15
+_SATURATED_WARNING = 0.01
+_SATURATED_FAILED = 0.1
 _NOISE_FACTOR = 2.0
-_COVERED = 0.2
+_MIN_KNOWN_SHARE = 0.2
 
 
 @dataclasses.dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at."""
+    """Result of one check."""
 
     about: str  # what, in a few words
     state: str  # `OK`, `WARNING` or `FAILED`
@@ -41,46 +41,54 @@ class Finding:
 
 
 def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding]:
-    """Say what a camera can tell apart over a depth range, and at what price.
+    """Findings about a camera over a depth range: depth resolution, blur, diffraction, light.
 
     Raises `InputError` if the range is not one of the camera's.
     """
     setting = design_setting(camera, near_m, far_m)
-    told_apart = resolutions_m(camera, near_m, far_m)
-    numbers = {f"{name}_m": step for name, (_, step) in told_apart.items()}
+    resolutions = resolutions_m(camera, near_m, far_m)
+    numbers = {f"{name}_m": step for name, (_, step) in resolutions.items()}
     steps = ", ".join(
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
-        for depth, step in told_apart.values()
+        for depth, step in resolutions.values()
     )
     few = setting.levels < _FEW_LEVELS
-    fewest = setting.levels < _FEWEST_LEVELS
-    told = FAILED if fewest else WARNING if few else OK
+    fewest = setting.levels < _MIN_LEVELS
+    resolution_state = FAILED if fewest else WARNING if few else OK
     holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
-    coded = FAILED if largest_px < _LEAST_HOLE_PX else OK if holes_px > _LEAST_HOLE_PX else WARNING
-    diffracts = setting.airy_radius_px > _AIRY_PX
+    blur_state = (
+        FAILED
+        if largest_px < _MIN_HOLE_BLUR_PX
+        else OK
+        if holes_px > _MIN_HOLE_BLUR_PX
+        else WARNING
+    )
+    diffracts = setting.airy_radius_px > _MAX_AIRY_RADIUS_PX
     f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
     light = setting.open_fraction
-    dark = light < _LITTLE_LIGHT
+    dark = light < _MIN_OPEN_FRACTION
     wider_holes = (
         "holes below half a pixel code nothing: use a wider mask, or focus farther from the scene"
     )
     return [
         Finding(
             "depth resolution",
-            told,
+            resolution_state,
             f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
             f"steps of {steps}",
-            "" if told == OK else "focus nearer to the scene, or use a wider mask: see calibrate",
+            ""
+            if resolution_state == OK
+            else "focus nearer to the scene, or use a wider mask: see calibrate",
             {"levels": setting.levels, **numbers},
         ),
         Finding(
             "blur",
-            coded,
+            blur_state,
             f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
             f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
             f"{holes_px:.2g} px or more",
-            "" if coded == OK else wider_holes,
+            "" if blur_state == OK else wider_holes,
             {"smallest_hole_px": holes_px},
         ),
         Finding(
@@ -103,10 +111,9 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
 
 
 class FrameCheckup:
-    """Looks at frames, one by one.
+    """Checks of single frames of a camera, for use with a bank.
 
-    The camera took them; the bank is to be used for them. Raises `InputError` if the bank is not
-    for the camera.
+    Raises `InputError` if the bank is not for the camera.
     """
 
     def __init__(self, camera: Camera, bank: FilterBank) -> None:
@@ -124,7 +131,7 @@ class FrameCheckup:
         except InputError as error:
             return [_failed("size", error)]
         found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame.light)]
-        # The camera file's noise is what is compared with, not what is reckoned with.
+        # The estimated noise is compared with the camera file's, which must not be used for it.
         camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
         try:
             if self._estimator is None or self._estimator.camera != camera:
@@ -141,17 +148,17 @@ class FrameCheckup:
             self._estimator.close()
 
     def _noise(self, estimate: DepthEstimate) -> Finding:
-        said = self._camera.noise
+        expected = self._camera.noise
         found = estimate.noise
-        numbers = {"noise": found, "noise_of_the_file": said}
-        if not said:
+        numbers = {"noise": found, "noise_of_the_file": expected}
+        if not expected:
             return Finding("noise", OK, f"{found:.4f}; the camera file says nothing", "", numbers)
-        unlike = not 1 / _NOISE_FACTOR <= found / said <= _NOISE_FACTOR
+        differs = not 1 / _NOISE_FACTOR <= found / expected <= _NOISE_FACTOR
         return Finding(
             "noise",
-            WARNING if unlike and not self._camera.noise_gain else OK,
-            f"{found:.4f}, the camera file says {said:.4f}",
-            "measure it with calibrate noise" if unlike else "",
+            WARNING if differs and not self._camera.noise_gain else OK,
+            f"{found:.4f}, the camera file says {expected:.4f}",
+            "measure it with calibrate noise" if differs else "",
             numbers,
         )
 
@@ -164,9 +171,9 @@ def _failed(about: str, error: InputError) -> Finding:
 def _saturation(frame: FloatArray) -> Finding:
     share = float((~(frame < DepthConfig().saturation)).mean())
     black = float((frame <= 0).mean())
-    state = FAILED if share > _SATURATED_MUCH else WARNING if share > _SATURATED_SOME else OK
+    state = FAILED if share > _SATURATED_FAILED else WARNING if share > _SATURATED_WARNING else OK
     remedy = "" if state == OK else "expose for less time: saturated light has no depth"
-    if state == OK and black > _SATURATED_SOME:
+    if state == OK and black > _SATURATED_WARNING:
         state = WARNING
         remedy = "expose longer, or lower the black level: what is cut off is lost"
     text = f"{100 * share:.1f} % saturated, {100 * black:.1f} % black"
@@ -186,7 +193,7 @@ def _known(estimate: DepthEstimate) -> Finding:
     share = float(np.isfinite(estimate.level).mean())
     # Where a frame does not fit, that is why there is little depth.
     fits = estimate.health is None or estimate.health.fits
-    few = share < _COVERED
+    few = share < _MIN_KNOWN_SHARE
     return Finding(
         "depth",
         WARNING if few else OK,

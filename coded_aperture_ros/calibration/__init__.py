@@ -1,4 +1,4 @@
-"""Measuring a camera from its own pictures: planes of known depth, PSFs, and noise."""
+"""Calibration of a camera from its own pictures: planes of known depth, PSFs, noise."""
 
 from coded_aperture_ros.calibration.noise import SensorNoise, noise_from_frames
 

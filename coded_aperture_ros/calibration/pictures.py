@@ -1,4 +1,4 @@
-"""Pictures of PSFs, and of a found mask and the spectra that it explains, for people to look at."""
+"""Pictures of PSFs, and of a found mask with its spectra, for display."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ _GAP_LIGHT = 0.25
 
 
 def _tiled(tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float) -> FloatArray:
-    """Return square tiles of one size [k, k] in rows, with gaps between and around them."""
+    """Square tiles of one size [k, k] in rows, with gaps between and around them."""
     side = len(tiles[0])
     step = side + _GAP_PX
     columns = min(per_row, len(tiles))
@@ -32,16 +32,16 @@ def _tiled(tiles: Sequence[NDArray[np.floating]], per_row: int, gap_light: float
 
 
 def enlarged(cells: NDArray[np.floating], side_px: int) -> FloatArray:
-    """Draw cells as whole squares of equal size, at most `side_px` wide in all if they fit."""
+    """Cells as whole squares of equal size, at most `side_px` wide in all if they fit."""
     factor = max(1, side_px // max(cells.shape))
     return np.kron(cells, np.ones((factor, factor), np.float32)).astype(np.float32)
 
 
 def blind_picture(found: BlindMask) -> FloatArray:
-    """Draw the mask, then the spectrum of each plane, least blurred first, in [0, 1].
+    """Picture in [0, 1] of the mask, then of the spectrum of each plane, least blurred first.
 
-    The left half of a spectrum is measured, the right half what the mask makes of smooth texture;
-    the halves of a real spectrum mirror each other.
+    The left half of a spectrum is measured, the right half is the mask's for smooth texture; the
+    halves of a real spectrum mirror each other.
     """
     tiles = [_mask_tile(found.mask.transmission)]
     tiles += [_halves(*found.spectra[plane]) for plane in np.argsort(found.blur_sizes_px)]
@@ -58,7 +58,7 @@ def _mask_tile(transmission: FloatArray) -> FloatArray:
 
 
 def _halves(measured: NDArray, explained: NDArray) -> FloatArray:
-    """Draw two half spectra side by side, zero frequency in the middle."""
+    """Two half spectra side by side, zero frequency in the middle."""
     both = np.fft.fftshift(np.stack([measured, explained]), axes=1)[..., :-1]
     # The half with negative horizontal frequencies is the other, turned by 180 degrees.
     turned = np.roll(both[0, ::-1, ::-1], 1, axis=0)
@@ -70,7 +70,7 @@ def _halves(measured: NDArray, explained: NDArray) -> FloatArray:
 
 
 def psf_picture(psfs: Sequence[NDArray[np.floating]]) -> FloatArray:
-    """Draw PSFs in rows of eight, all at one scale, each up to its own brightest value."""
+    """Picture in [0, 1] of PSFs in rows of eight, at one scale, each up to its own maximum."""
     width = max(len(psf) for psf in psfs)
     padded = [np.pad(np.maximum(psf, 0), (width - len(psf)) // 2) for psf in psfs]
     tiles = [enlarged(psf / max(float(psf.max()), 1e-12), _WIDTH_PX) for psf in padded]

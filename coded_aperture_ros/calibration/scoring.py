@@ -1,4 +1,4 @@
-"""What power spectra of windows say of a PSF that is known but for some numbers."""
+"""Likelihood of the power spectra of windows for a PSF with unknown parameters."""
 
 import dataclasses
 from collections.abc import Callable
@@ -18,8 +18,8 @@ _PRIOR = NaturalImagePrior()
 _COUNTED = FOURIER.multiplicity > 0
 _COUNTS = FOURIER.multiplicity[_COUNTED].astype(np.float64)
 _CONTRASTS = np.array(_PRIOR.contrasts)
-_MOST_DAMPING = 1e4
-_ENOUGH = 1.0
+_MAX_DAMPING = 1e4
+_MIN_GAIN = 1.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,9 +44,9 @@ class Textures:
 
 
 def window_spectra(grey: FloatArray, stride_px: int) -> tuple[DoubleArray, float, IndexArray]:
-    """Return the power of the windows of an image [n, K], its noise's variance, and their middles.
+    """Power of the windows of an image [n, K], the variance of its noise, and their middles [n, 2].
 
-    The middles [n, 2] are rows and columns, in px.
+    The middles are rows and columns, in px.
     """
     power, grid = FOURIER.power(grey, stride_px)
     noise = max(float(np.quantile(power @ FOURIER.noise_weights, 0.05)), 1e-9)
@@ -56,7 +56,7 @@ def window_spectra(grey: FloatArray, stride_px: int) -> tuple[DoubleArray, float
 
 
 def saturated_cost(powers: DoubleArray) -> DoubleArray:
-    """Return what windows [n, K] would cost, see `Scoring.costs`, if they were as expected [n]."""
+    """Cost (see `Scoring.costs`) of windows [n, K] whose power is exactly as expected [n]."""
     return np.asarray((1 + np.log(np.maximum(powers, 1e-30))) @ _COUNTS)
 
 
@@ -64,7 +64,7 @@ def saturated_cost(powers: DoubleArray) -> DoubleArray:
 class Scoring:
     """Fisher scoring of the likelihood of windows' spectra, for textures as those of a bank.
 
-    `psf` gives that of some windows for a state, or raises an `InputError` where there is none;
+    `psf` returns the PSF of some windows for a state, or raises `InputError` if there is none;
     derivatives are differences over `steps`.
     """
 
@@ -81,11 +81,23 @@ class Scoring:
         progress: Progress,
         begin: DoubleArray | None = None,
     ) -> tuple[DoubleArray, DoubleArray]:
-        """Return the likeliest state, and its covariance.
+        """Most likely state, and its covariance.
 
-        `spread` is how far from the `first` every part of the state is where nothing tells, for a
-        single window; `active` which parts are moved, by the round. It begins at the `first`, or
-        where it is told.
+        Parameters
+        ----------
+        first : ndarray [S]
+            State of the prior.
+        windows : list of Windows
+        spread : ndarray [S]
+            Standard deviation of the prior, for a single window.
+        active : callable
+            Indices of the parameters that a round moves.
+        rounds : int
+            Largest number of rounds.
+        progress : callable
+            Wraps the rounds.
+        begin : ndarray [S], optional
+            State to begin from; by default `first`.
         """
         count = sum(len(each.powers) for each in windows)
         prior = count * np.diag(spread**-2)
@@ -100,7 +112,7 @@ class Scoring:
             gradient += (prior @ (state - first))[moving]
             information += prior[np.ix_(moving, moving)]
             gained = 0.0
-            while damping < _MOST_DAMPING:
+            while damping < _MAX_DAMPING:
                 damped = information + damping * np.diag(np.diag(information))
                 moved = state.copy()
                 moved[moving] -= np.linalg.solve(damped, gradient)
@@ -111,12 +123,12 @@ class Scoring:
                     damping = damping / 10
                     break
                 damping *= 10
-            if len(moving) == len(first) and gained < _ENOUGH * count:
+            if len(moving) == len(first) and gained < _MIN_GAIN * count:
                 break
         return state, np.asarray(np.linalg.inv(information))
 
     def textures(self, state: DoubleArray, windows: Windows) -> Textures:
-        """Sort windows by the contrast and slope that explain them best."""
+        """Windows sorted by the contrast and slope that explain them best."""
         costs = self.costs(state, windows)
         found, which = np.unique(costs.argmin(axis=1), return_inverse=True)
         member = which == np.arange(len(found))[:, None]
@@ -129,13 +141,13 @@ class Scoring:
         )
 
     def costs(self, state: DoubleArray, windows: Windows) -> DoubleArray:
-        """Return twice the negative log-likelihood of windows by texture [n, T]."""
+        """Twice the negative log-likelihood of windows by texture [n, T]."""
         variance = _CONTRASTS[:, None, None] * self._expected(state, windows) + windows.noise
         variance = variance.reshape(-1, len(_COUNTS))
         return windows.powers @ (_COUNTS / variance).T + np.log(variance) @ _COUNTS
 
     def cost(self, state: DoubleArray, textures: list[Textures]) -> float:
-        """Twice the negative log-likelihood; infinite where no lens is like that."""
+        """Twice the negative log-likelihood; infinite for an impossible lens."""
         try:
             return sum(self._cost(each, self._variance(state, each)) for each in textures)
         except InputError:
@@ -144,10 +156,7 @@ class Scoring:
     def derivatives(
         self, state: DoubleArray, textures: list[Textures], active: IndexArray
     ) -> tuple[float, DoubleArray, DoubleArray]:
-        """Return the cost, half its gradient, and half of what its curvature is expected to be.
-
-        By the `active` parts of the state.
-        """
+        """Cost, half its gradient, and half its expected curvature, by the `active` parameters."""
         total = 0.0
         gradient = np.zeros(len(active))
         information = np.zeros((len(active), len(active)))
@@ -179,7 +188,7 @@ class Scoring:
         return textures.contrasts * expected + textures.windows.noise
 
     def _expected(self, state: DoubleArray, windows: Windows) -> DoubleArray:
-        """Return the power of unit texture [slopes, K]."""
+        """Power of unit texture [slopes, K]."""
         psf = self.psf(state, windows)
         powers = np.array([FOURIER.expected_power(psf, slope, 2) for slope in _PRIOR.slopes])
         return powers[:, _COUNTED] + _PRIOR.model_error**2

@@ -1,4 +1,4 @@
-"""Design of a coded-aperture camera: what a lens, a mask and a focus can tell, before building."""
+"""Design of a coded-aperture camera: depth resolution of a lens, a mask and a focus."""
 
 from coded_aperture_ros.design.curves import (
     best_settings,

@@ -1,4 +1,4 @@
-"""How the numbers of a camera change with focus and depth (thesis 3.4.2), and the best focus."""
+"""Depth levels and blur against focus and depth (thesis 3.4.2), and the best focus."""
 
 import dataclasses
 import math
@@ -19,12 +19,12 @@ from coded_aperture_ros.optics import Camera
 
 _SAMPLES = 200
 # Settings whose number of levels is within this of the most count as equal.
-_AS_GOOD = 0.98
+_EQUAL_SHARE = 0.98
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Curves:
-    """The graphs of thesis figures 3.10 and 3.12, as numbers."""
+    """Graphs of thesis figures 3.10 and 3.12, as numbers."""
 
     # Focus distances, increasing [n]; those within the depth range, where the side of the focus is
     # ambiguous, are left out.
@@ -46,10 +46,38 @@ def design_curves(
     config: DesignConfig | None = None,
     focus_range_m: tuple[float, float] | None = None,
 ) -> Curves:
-    """Compute the curves of a camera over a depth range on its side of the focus.
+    """Curves of a camera over a depth range on its side of the focus.
 
-    The focus distances are by default `default_focus_range_m`, with the camera's own. An
-    `InputError` as of `design_setting`; also for a focus range that lies within the depth range.
+    Parameters
+    ----------
+    camera : Camera
+    near_m, far_m : float
+        Depth range, m.
+    config : DesignConfig, optional
+    focus_range_m : (float, float), optional
+        Focus distances, m; by default `default_focus_range_m`, with the camera's own.
+
+    Returns
+    -------
+    Curves
+
+    Raises
+    ------
+    InputError
+        As `design_setting`; also if the focus range lies within the depth range.
+
+    References
+    ----------
+    Martinello 2012, section 3.4.2.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 640, 480, Mask.named("levin"), mask_extent_mm=20.0)
+    >>> curves = design_curves(camera, 2.5, 6.0)
+    >>> bool((curves.resolution_m > 0).all())
+    True
     """
     config = config or DesignConfig()
     near_px, far_px = camera.blur_range_px(near_m, far_m)
@@ -75,27 +103,27 @@ def design_curves(
 
 
 def default_focus_range_m(camera: Camera, near_m: float, far_m: float) -> tuple[float, float]:
-    """Return the focus distances that are worth a look: from a quarter of `near_m` to four `far_m`.
+    """Focus distances to search, m: a quarter of `near_m` to four times `far_m`.
 
-    No nearer than twice the focal length, where the image has the size of the object, or twice
-    the mask's distance.
+    No nearer than twice the focal length, where the image has the size of the object, or twice the
+    mask's distance.
     """
     closest_m = 2e-3 * max(camera.focal_length_mm or 0.0, camera.lens_mask_distance_mm)
     return max(near_m / 4, min(closest_m, near_m)), 4 * far_m
 
 
 def default_extent_range_mm(camera: Camera) -> tuple[float, float]:
-    """Return the mask sizes that are worth a look: half the camera's to twice the camera's."""
+    """Mask extents to search, mm: half the camera's to twice the camera's."""
     return camera.mask_extent_mm / 2, camera.mask_extent_mm * 2
 
 
 def refocused_cameras(
     camera: Camera, near_m: float, far_m: float, focus_range_m: tuple[float, float]
 ) -> list[Camera]:
-    """Return the camera focused at many distances outside the depth range, nearest first.
+    """Camera focused at many distances outside the depth range, nearest first.
 
-    On each side of the range, they are equally spaced in the logarithm of the distance. An
-    `InputError` where the focus range is not one, or lies within the depth range.
+    On each side of the range, they are equally spaced in the logarithm of the distance. Raises
+    `InputError` if the focus range is not increasing, or lies within the depth range.
     """
     low_m, high_m = focus_range_m
     if not 0 < low_m < high_m < math.inf:
@@ -127,32 +155,41 @@ def best_settings(
     focus_range_m: tuple[float, float] | None = None,
     extent_range_mm: tuple[float, float] | None = None,
 ) -> list[Setting]:
-    """Search focus distance and mask size for the most depth levels.
+    """Focus distance and mask extent with the most depth levels, before and beyond the depth range.
 
-    The focus lies outside the depth range, and the blur sizes within the limits of `config`.
-    The number of levels hardly depends on the focus, so among settings that are as good within
-    2 % the one wins whose smallest hole blurs closest to 1 px, which keeps most of the image.
+    The focus lies outside the depth range, and the blur sizes within the limits of `config`. The
+    number of levels hardly depends on the focus, so among settings that are as good within 2 % the
+    one wins whose smallest hole blurs closest to 1 px, which keeps most of the image.
 
     Parameters
     ----------
     camera : Camera
-        Its focus, side and mask size matter only for the default ranges.
+        Its focus, side and mask extent matter only for the default ranges.
     near_m, far_m : float
-        Depth range.
-    focus_range_m, extent_range_mm : tuple of two floats, optional
-        What is searched; by default `default_focus_range_m` and `default_extent_range_mm`.
+        Depth range, m.
+    config : DesignConfig, optional
+    focus_range_m, extent_range_mm : (float, float), optional
+        Ranges of the search; by default `default_focus_range_m` and `default_extent_range_mm`.
 
     Returns
     -------
     list of Setting
-        The best setting with the focus before the depth range and the best one beyond it, the
-        one with more levels first. A side is missing where no setting in the ranges keeps the
-        blur within its limits.
+        The best setting with the focus before the depth range and the best one beyond it, the one
+        with more levels first. A side is missing where no setting in the ranges keeps the blur
+        within its limits.
 
     Raises
     ------
     InputError
-        If a range is not one, or the focus range lies within the depth range.
+        If a range is not increasing, or the focus range lies within the depth range.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 640, 480, Mask.named("levin"), mask_extent_mm=20.0)
+    >>> [setting.side for setting in best_settings(camera, 2.5, 6.0)]
+    ['far', 'near']
     """
     config = config or DesignConfig()
     focus_range_m = focus_range_m or default_focus_range_m(camera, near_m, far_m)
@@ -174,6 +211,6 @@ def best_settings(
     best = []
     for settings in filter(None, found.values()):
         most = max(setting.levels for setting in settings)
-        as_good = [setting for setting in settings if setting.levels >= _AS_GOOD * most]
+        as_good = [setting for setting in settings if setting.levels >= _EQUAL_SHARE * most]
         best.append(min(as_good, key=lambda setting: abs(math.log(setting.hole_blur_mean_px))))
     return sorted(best, key=lambda setting: -setting.levels)

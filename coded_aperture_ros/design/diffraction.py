@@ -1,4 +1,4 @@
-"""Openings of a mask that are too small for their shape to reach the sensor."""
+"""Openings of a mask whose shape diffraction hides."""
 
 from coded_aperture_ros.design.openings import Opening, mask_openings
 from coded_aperture_ros.optics import Camera
@@ -8,23 +8,23 @@ _AIRY_WIDTH = 2.44
 
 
 def airy_width_px(camera: Camera, opening: Opening) -> float:
-    """Return the width of an opening's Airy disc on the sensor, between its first zeros."""
+    """Width of an opening's Airy disc on the sensor, between its first zeros, px."""
     return _AIRY_WIDTH * camera.diffraction_px / opening.width
 
 
 def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
-    """Say which openings are lost, whose Airy disc is wider than their blur; empty if none is.
+    """Warning of openings whose Airy disc is wider than their blur; empty if there are none.
 
     `blur_size_px` is the largest blur of the whole mask that the camera is used with.
     """
     openings = sorted(mask_openings(camera.mask).each, key=lambda opening: opening.width)
     size = abs(blur_size_px)
-    lost = [one for one in openings if airy_width_px(camera, one) > one.width * size]
-    if not lost:
+    hidden = [one for one in openings if airy_width_px(camera, one) > one.width * size]
+    if not hidden:
         return ""
-    first = lost[0]
+    first = hidden[0]
     extent_mm = camera.mask_extent_mm
-    others = f" (and {len(lost) - 1} of the {len(openings)} openings more)" if lost[1:] else ""
+    others = f" (and {len(hidden) - 1} of the {len(openings)} openings more)" if hidden[1:] else ""
     airy_px = airy_width_px(camera, first)
     f_number = f", f/{camera.f_number:.1f}" if camera.f_number else ""
     return (

@@ -1,4 +1,4 @@
-"""Graphs of a design as a picture. Needs matplotlib, which is imported only when drawing."""
+"""Figures of a design. Matplotlib is imported only when drawing."""
 
 from importlib.util import find_spec
 from typing import Any
@@ -25,8 +25,8 @@ def draw_design(
     """Draw levels and hole blur against focus, and depth resolution (thesis figure 3.10).
 
     The graphs mark `setting`, the camera as it is. The stripe at the right has a band for each
-    depth level: objects in one band cannot be told apart. An `InputError` if matplotlib is missing,
-    or the file cannot be written; its name chooses the format.
+    depth level: objects in one band cannot be told apart. The name of the file chooses the format.
+    Raises `InputError` if matplotlib is missing, or the file cannot be written.
     """
     # A layout that measures every text would take longer than all the drawing.
     figure = new_figure(*_INCHES, layout=None)
@@ -78,7 +78,7 @@ def _draw_blur(axes: Any, setting: Setting, curves: Curves, near_m: float) -> No
 
 
 def _draw_by_side(axes: Any, curves: Curves, values: Any, near_m: float, **style: Any) -> list[Any]:
-    """Draw one line for the focus before the depth range, and one for beyond it."""
+    """Lines for the focus before the depth range, and for the focus beyond it."""
     before = curves.focus_m <= near_m
     sides = [side for side in (before, ~before) if side.any()]
     return [axes.plot(curves.focus_m[side], values[side], **style)[0] for side in sides]

@@ -1,4 +1,4 @@
-"""The openings of a mask, as a knife would cut them: their sizes and outlines."""
+"""Openings of a mask: sizes, and outlines to cut."""
 
 import dataclasses
 import functools
@@ -22,12 +22,12 @@ Outline = list[Point]
 # cell, for the named masks 1/768 of the extent.
 _STEPS_PER_CELL = 8
 # How far the area of the outlines may be from the light that the mask lets through, as a share.
-_LARGEST_LOSS = 0.02
+_MAX_AREA_ERROR = 0.02
 
 
 @dataclasses.dataclass(frozen=True)
 class Opening:
-    """One opening; lengths are shares of the mask's extent."""
+    """Opening of a mask; lengths are shares of the mask's extent."""
 
     width: float  # diameter of the largest disc within it
     x: float  # of its middle, to the right of the mask's
@@ -36,7 +36,7 @@ class Opening:
 
 @dataclasses.dataclass(frozen=True)
 class Openings:
-    """What the openings of a mask are like."""
+    """Openings of a mask."""
 
     count: int  # cells that touch at a corner only are two
     # Diameter of the largest disc within the narrowest opening, as a share of the mask's extent:
@@ -47,13 +47,21 @@ class Openings:
 
 
 def open_cells(mask: Mask) -> BoolArray:
-    """Return which cells [n, m] let through more than half of the most open one's light."""
+    """Cells [n, m] that let through more than half of the light of the most open one."""
     return np.asarray(mask.transmission > 0.5 * mask.transmission.max())
 
 
 @functools.lru_cache(maxsize=16)  # a search asks for the same mask hundreds of times
 def mask_openings(mask: Mask) -> Openings:
-    """Measure the openings of a mask; see `open_cells`."""
+    """Openings of a mask: number, sizes, positions and loose parts; see `open_cells`.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> found = mask_openings(Mask.from_rows(["110", "110", "001"]))
+    >>> found.count, round(found.smallest_width, 3)
+    (2, 0.333)
+    """
     cells = open_cells(mask)
     framed = np.pad(cells, 1)  # the mask's rim is closed, and holds what touches it
     fine = np.kron(framed, np.ones((_POINTS_PER_CELL, _POINTS_PER_CELL), bool)).astype(np.uint8)
@@ -77,7 +85,7 @@ def mask_openings(mask: Mask) -> Openings:
 
 
 def narrowest_bar(mask: Mask) -> float:
-    """Return the least distance between two openings, as a share of the extent.
+    """Smallest distance between two openings, as a share of the extent.
 
     Infinite with one opening. Openings that touch at a corner have no bar between them.
     """
@@ -93,17 +101,17 @@ def narrowest_bar(mask: Mask) -> float:
 
 
 def _corners(cells: BoolArray) -> NDArray[np.uint8]:
-    """Return which corner points within the grid are of one of some cells."""
+    """Corner points within the grid that belong to one of some cells."""
     inside = np.asarray(cells, np.uint8)
     return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
 
 
 def recut(mask: Mask, change: float) -> Mask:
-    """Return a mask with all openings so much wider, or narrower if less than 0.
+    """Mask with all openings wider by `change`, or narrower if it is negative.
 
-    `change` is a share of the extent, half of it at each side of an opening. What would be cut
-    beyond the grid's edge is left out. An `InputError` if an opening is gone, the change is too
-    small to be drawn, or the mask has grey cells.
+    `change` is a share of the extent, half of it at each side of an opening. Openings do not grow
+    beyond the grid's edge. Raises `InputError` if an opening is gone, the change is too small to be
+    drawn, or the mask has grey cells.
     """
     cells = _cells_to_cut(mask)
     fineness = _RECUT_CELLS * (1 if abs(change) >= _LARGE_CHANGE else 4)
@@ -130,12 +138,12 @@ def recut(mask: Mask, change: float) -> Mask:
 
 
 def mask_outlines(mask: Mask) -> list[Outline]:
-    """Trace the openings of a mask: closed outlines as corners `(x, y)`.
+    """Closed outlines of the openings of a mask, as corners `(x, y)`.
 
     x goes to the right and y down, in units of the mask's extent, with the centre of the grid at
     (0, 0). Openings that touch at a corner have outlines of their own; an outline within another is
-    of a closed part within an opening. An `InputError` if the mask has grey cells, which cannot be
-    cut.
+    of a closed part within an opening. Raises `InputError` if the mask has grey cells, which cannot
+    be cut.
     """
     cells = _cells_to_cut(mask)
     rows, columns = cells.shape
@@ -147,7 +155,7 @@ def mask_outlines(mask: Mask) -> list[Outline]:
 
 
 def _cells_to_cut(mask: Mask) -> BoolArray:
-    """Return which cells are open; finer ones of masks with curved outlines."""
+    """Open cells; finer ones for masks with curved outlines."""
     if np.isin(mask.transmission, (0.0, 1.0)).all():
         return open_cells(mask)
     steps = _STEPS_PER_CELL
@@ -155,7 +163,7 @@ def _cells_to_cut(mask: Mask) -> BoolArray:
         np.pad(mask.transmission, 1), None, fx=steps, fy=steps, interpolation=cv2.INTER_LINEAR
     )[steps:-steps, steps:-steps]
     cells = np.asarray(light > 0.5)
-    if abs(cells.mean() - mask.transmission.mean()) > _LARGEST_LOSS * mask.transmission.mean():
+    if abs(cells.mean() - mask.transmission.mean()) > _MAX_AREA_ERROR * mask.transmission.mean():
         raise InputError(
             f"mask {mask.name}: it has grey cells, which cannot be cut; use a picture of black and "
             "white"
@@ -164,7 +172,7 @@ def _cells_to_cut(mask: Mask) -> BoolArray:
 
 
 def _trace(cells: BoolArray) -> list[list[tuple[int, int]]]:
-    """Return the corners (x, y) of the outlines of the open cells, each clockwise with y down."""
+    """Corners (x, y) of the outlines of the open cells, each clockwise with y down."""
     closed = ~np.pad(cells, 1)
     # For each side of a cell with a closed neighbour there: where its edge starts, and its
     # direction, so that the edges of a lone cell run around it clockwise.

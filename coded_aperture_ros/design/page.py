@@ -1,4 +1,4 @@
-"""The design as one interactive page, which computes with the formulas of `setting` by itself."""
+"""Interactive page of a design, which computes the formulas of `setting` itself."""
 
 import dataclasses
 import json
@@ -12,7 +12,7 @@ from coded_aperture_ros.design.setting import DesignConfig, Setting
 from coded_aperture_ros.optics import Camera
 
 # Where the template has the values that the page starts from.
-_PLACE = "/*DESIGN*/ null"
+_PLACEHOLDER = "/*DESIGN*/ null"
 
 
 def write_page(
@@ -25,11 +25,11 @@ def write_page(
     extent_range_mm: tuple[float, float],
     path: str | os.PathLike[str],
 ) -> None:
-    """Write a page with sliders for focus, mask size and depth range (HTML, self-contained).
+    """Write a page with sliders for focus, mask extent and depth range (HTML, self-contained).
 
-    It needs no network and no other file. The sliders start from the camera and the depth range,
-    end at the other ranges, and go to the `best` settings on demand; after the page's address,
-    `#focus=1.5&extent=12&near=2&far=5` sets them.
+    The sliders start from the camera and the depth range, end at the other ranges, and go to the
+    `best` settings on demand; after the page's address, `#focus=1.5&extent=12&near=2&far=5` sets
+    them.
     """
     values = {
         "focus_m": camera.focus_distance_m,
@@ -53,11 +53,11 @@ def write_page(
     template = files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")
     # The name of a mask file may have anything in it; "</script>" would end the script.
     script = json.dumps(finite(values), allow_nan=False).replace("<", "\\u003c")
-    Path(path).write_text(template.replace(_PLACE, script), encoding="utf-8")
+    Path(path).write_text(template.replace(_PLACEHOLDER, script), encoding="utf-8")
 
 
 def finite(value: Any) -> Any:
-    """Return a structure of dicts and lists with None for numbers that JSON does not have."""
+    """Structure of dicts and lists with None for numbers that JSON does not have."""
     if isinstance(value, dict):
         return {key: finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):

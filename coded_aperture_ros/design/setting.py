@@ -1,4 +1,4 @@
-"""The numbers of one setting of a camera: how finely it tells depths apart, and at what price."""
+"""Figures of one setting of a camera: depth resolution, blur, light, diffraction."""
 
 import dataclasses
 import math
@@ -18,7 +18,19 @@ _AIRY = 1.22
 
 @dataclasses.dataclass(frozen=True)
 class DesignConfig:
-    """What the sensor and the estimator can do, and which blur is wanted."""
+    """Resolution of sensor and estimator, and the wanted range of blur sizes.
+
+    Raises
+    ------
+    InputError
+        Naming the setting, its value and what is allowed.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.design import DesignConfig
+    >>> DesignConfig(largest_blur_px=16.0).smallest_blur_px
+    3.0
+    """
 
     resolution_px: float = option(
         1.0,
@@ -56,7 +68,7 @@ class DesignConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Setting:
-    """What a camera with one focus and one mask size can do over a depth range."""
+    """Figures of a camera with one focus and one mask extent over a depth range."""
 
     focus_distance_m: float
     mask_extent_mm: float
@@ -92,17 +104,35 @@ class Setting:
 def design_setting(
     camera: Camera, near_m: float, far_m: float, config: DesignConfig | None = None
 ) -> Setting:
-    """Compute the numbers of a camera as it is.
+    """Figures of a camera over a depth range.
 
     Parameters
     ----------
+    camera : Camera
     near_m, far_m : float
-        Depth range, on the camera's side of its focus.
+        Depth range, on the camera's side of its focus, m.
+    config : DesignConfig, optional
+
+    Returns
+    -------
+    Setting
 
     Raises
     ------
     InputError
-        If the range is not one, is not finite, or does not lie on the camera's side.
+        If the range is not increasing, is not finite, or does not lie on the camera's side.
+
+    References
+    ----------
+    Martinello 2012, section 3.4.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 640, 480, Mask.named("levin"), mask_extent_mm=20.0)
+    >>> round(design_setting(camera, 2.5, 6.0).levels, 2)
+    5.67
     """
     config = config or DesignConfig()
     near_px, far_px = camera.blur_range_px(near_m, far_m)
@@ -139,16 +169,16 @@ def design_setting(
 
 
 def resolution_m(camera: Camera, depth_m: ArrayLike, resolution_px: float = 1.0) -> DoubleArray:
-    """Return how much farther than each depth the next is that can be told apart (eq. 3.30).
+    """Distance from each depth to the next one that can be told apart, m (eq. 3.30).
 
-    In metres; infinite where even an infinite depth looks the same. `resolution_px` is the change
-    of blur size that is told apart.
+    Infinite where even an infinite depth looks the same. `resolution_px` is the smallest change of
+    blur size that is told apart.
     """
     return camera.depth_m(camera.blur_size_px(depth_m) + resolution_px) - np.asarray(depth_m)
 
 
 def resolutions_m(camera: Camera, near_m: float, far_m: float) -> dict[str, tuple[float, float]]:
-    """Return depth and `resolution_m` at the near end, in the middle and at the far end of a range.
+    """Depth and `resolution_m` at the near end, in the middle and at the far end of a range.
 
     The middle is that of the inverse depths, as levels are spaced.
     """
@@ -158,7 +188,7 @@ def resolutions_m(camera: Camera, near_m: float, far_m: float) -> dict[str, tupl
 
 
 def mean_blur_size_px(camera: Camera, near_m: float, far_m: float) -> float:
-    """Return the mean signed blur size over depths spread uniformly from `near_m` to `far_m`.
+    """Mean signed blur size over depths spread uniformly from `near_m` to `far_m`, px.
 
     The blur size is `S_inf (1 - (z_focus - C) / (z - C))`, which is integrated in closed form.
     """

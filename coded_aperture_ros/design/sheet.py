@@ -1,4 +1,4 @@
-"""A page with a mask at true scale, to be printed, glued to cardboard and cut out."""
+"""Page with a mask at true scale, to print, glue to cardboard and cut out."""
 
 import dataclasses
 import math
@@ -10,11 +10,11 @@ from coded_aperture_ros.optics import Mask
 # A4, and what of it every printer reaches.
 WIDTH_MM = 210.0
 HEIGHT_MM = 297.0
-_LARGEST_MM = 170.0
+_MAX_DIAMETER_MM = 170.0
 _TOP_MM = 62.0
 # Cardboard left between the openings and the edge of the piece: by default, and at least.
 _MARGIN_MM = 5.0
-_LEAST_MARGIN_MM = 0.5
+_MIN_MARGIN_MM = 0.5
 _CIRCLE_CORNERS = 360
 _RULER_MM = 100
 # Where the rulers begin; printers may stretch the two directions differently.
@@ -24,7 +24,7 @@ _DOWN = (10.0, 170.0)
 
 @dataclasses.dataclass(frozen=True)
 class Shape:
-    """An area or lines; lengths in mm from the page's upper left corner, y down."""
+    """Area or lines; lengths in mm from the page's upper left corner, y down."""
 
     outlines: list[Outline]  # an area is what an odd number of them encloses
     colour: str  # as #rrggbb
@@ -37,7 +37,7 @@ class Shape:
 
 @dataclasses.dataclass(frozen=True)
 class Text:
-    """A line of text whose baseline begins, or has its middle, at `at`."""
+    """Line of text whose baseline begins, or has its middle, at `at`."""
 
     at: Point
     text: str
@@ -47,7 +47,7 @@ class Text:
 
 @dataclasses.dataclass(frozen=True)
 class Sheet:
-    """Everything on the page, in the order of drawing; `outer_mm` is the round piece's diameter."""
+    """Content of the page, in the order of drawing; `outer_mm` is the round piece's diameter."""
 
     title: str
     outer_mm: float
@@ -62,14 +62,27 @@ def mask_sheet(
     label: str = "",
     kerf_mm: float = 0.0,
 ) -> Sheet:
-    """Lay out a mask at true scale, with a ruler, cut lines and the way it sits in the lens.
+    """Page with a mask at true scale, rulers, cut lines and the orientation in the lens.
 
-    The printed side is what the sensor would see: held towards the sensor with the mark up, the
-    PSF of a point beyond the focus is the mask as it is stored. `extent_mm` is the outer extent of
-    the mask's grid, as in the camera file, and `outer_mm` the diameter of the round piece to cut
-    out; by default there are 5 mm around the openings. `label` is a line of text, say the lens that
-    it is for. A cut that is `kerf_mm` wide leaves the openings as they should be.
-    An `InputError` if the mask does not fit the page, or the openings not into the round piece.
+    The printed side is what the sensor would see: held towards the sensor with the mark up, the PSF
+    of a point beyond the focus is the mask as it is stored.
+
+    Parameters
+    ----------
+    mask : Mask
+    extent_mm : float
+        Outer extent of the mask's grid, as in the camera file.
+    outer_mm : float, optional
+        Diameter of the round piece to cut out; by default there are 5 mm around the openings.
+    label : str, optional
+        A line of text, such as the name of the lens.
+    kerf_mm : float, optional
+        Width of the cut, which the openings are narrower by.
+
+    Raises
+    ------
+    InputError
+        If the mask does not fit the page, or the openings do not fit the round piece.
     """
     if not 0 < extent_mm < math.inf:
         raise InputError(f"mask size: expected more than 0 mm, got {extent_mm:g} mm")
@@ -78,15 +91,15 @@ def mask_sheet(
     reach_mm = max(math.hypot(x, y) for outline in outlines for x, y in outline)
     if outer_mm is None:
         outer_mm = math.ceil(2 * (reach_mm + _MARGIN_MM))
-    if not outer_mm >= 2 * (reach_mm + _LEAST_MARGIN_MM):
+    if not outer_mm >= 2 * (reach_mm + _MIN_MARGIN_MM):
         raise InputError(
             f"outer diameter {outer_mm:g} mm: the openings reach {2 * reach_mm:.1f} mm across, use "
-            f"at least {2 * (reach_mm + _LEAST_MARGIN_MM):.1f} mm or a smaller mask"
+            f"at least {2 * (reach_mm + _MIN_MARGIN_MM):.1f} mm or a smaller mask"
         )
-    if outer_mm > _LARGEST_MM:
+    if outer_mm > _MAX_DIAMETER_MM:
         raise InputError(
             f"the mask with its rim is {outer_mm:.4g} mm wide and does not fit on an A4 page: use "
-            f"at most {_LARGEST_MM:g} mm"
+            f"at most {_MAX_DIAMETER_MM:g} mm"
         )
     openings = mask_openings(mask)
     count = "1 opening" if openings.count == 1 else f"{openings.count} openings"
@@ -115,13 +128,13 @@ def mask_sheet(
 
 
 def loose_parts_note(count: int) -> str:
-    """Say what to do about closed parts that hang on nothing."""
+    """Note about closed parts that hang on nothing."""
     parts = "One closed part hangs" if count == 1 else f"{count} closed parts hang"
     return f"{parts} on nothing: print on film instead, or leave thin bridges."
 
 
 def _piece(outlines: list[Outline], outer_mm: float, reach_mm: float) -> list[Shape]:
-    """Draw the black piece with its cut lines, and triangles that point up."""
+    """Black piece with its cut lines, and triangles that point up."""
     radius_mm = outer_mm / 2
     x = WIDTH_MM / 2
     y = _TOP_MM + radius_mm
@@ -146,7 +159,7 @@ def _piece(outlines: list[Outline], outer_mm: float, reach_mm: float) -> list[Sh
 
 
 def _ruler(start: Point, *, down: bool) -> tuple[Shape, list[Text]]:
-    """Draw a ruler with a tick each millimetre, and a number each centimetre."""
+    """Ruler with a tick each millimetre, and a number each centimetre."""
     x, y = start
 
     def at(along: float, beside: float) -> Point:

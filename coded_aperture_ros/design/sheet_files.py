@@ -1,4 +1,4 @@
-"""A sheet as SVG, as PDF, which asks the printer not to scale its A4 page, and as DXF."""
+"""Sheet as SVG, as PDF (which asks the printer not to scale its A4 page), and as DXF."""
 
 import io
 import re
@@ -10,11 +10,11 @@ from coded_aperture_ros.design.sheet import HEIGHT_MM, WIDTH_MM, Shape, Sheet, T
 _POINTS_PER_MM = 72 / 25.4
 # Widths of Helvetica's digits and of most of its letters, in parts of the height; only the numbers
 # of the rulers are centred.
-_WIDTH_OF_A_CHARACTER = 0.556
+_CHARACTER_WIDTH = 0.556
 
 
 def sheet_svg(sheet: Sheet) -> str:
-    """Return the sheet as the text of an SVG file whose user unit is 1 mm."""
+    """Text of an SVG file whose user unit is 1 mm."""
     size = f'width="{WIDTH_MM:g}mm" height="{HEIGHT_MM:g}mm"'
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>',
@@ -50,12 +50,12 @@ def _svg_text(text: Text) -> str:
 
 
 def _clean(text: str) -> str:
-    """Escape what XML reserves, and leave out what it forbids: a file's name may have anything."""
+    """Text with XML's reserved characters escaped, and forbidden ones replaced."""
     return escape(re.sub("[^\t\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "?", text))
 
 
 def sheet_pdf(sheet: Sheet) -> bytes:
-    """Return the sheet as the bytes of a PDF file."""
+    """Bytes of a PDF file."""
     content = "\n".join([*map(_pdf_shape, sheet.shapes), *map(_pdf_text, sheet.texts)])
     stream = content.encode("cp1252", "replace")
     size = f"{WIDTH_MM * _POINTS_PER_MM:.3f} {HEIGHT_MM * _POINTS_PER_MM:.3f}"
@@ -66,7 +66,7 @@ def sheet_pdf(sheet: Sheet) -> bytes:
         "/Resources << /Font << /F1 5 0 R >> >> >>".encode(),
         b"<< /Length %d >>\nstream\n" % len(stream) + stream + b"\nendstream",
         b"<< /Type /Font /Subtype /Type1 /BaseFont /Helvetica /Encoding /WinAnsiEncoding >>",
-        b"<< /Title " + _string(sheet.title).encode("cp1252", "replace") + b" >>",
+        b"<< /Title " + _pdf_string(sheet.title).encode("cp1252", "replace") + b" >>",
     ]
     data = b"%PDF-1.4\n"
     offsets = []
@@ -82,9 +82,9 @@ def sheet_pdf(sheet: Sheet) -> bytes:
 
 
 def sheet_dxf(sheet: Sheet) -> bytes:
-    """Return the lines to be cut, in mm, as a DXF file: layers `hole` and `rim`.
+    """Bytes of a DXF file with the lines to cut, in mm: layers `hole` and `rim`.
 
-    An `InputError` where ezdxf is not installed.
+    Raises `InputError` if ezdxf is not installed.
     """
     try:
         import ezdxf
@@ -102,8 +102,8 @@ def sheet_dxf(sheet: Sheet) -> bytes:
     return text.getvalue().encode()
 
 
-def _at(x_mm: float, y_mm: float) -> str:
-    """Return a place in points, counted from the lower left corner of the page."""
+def _page_point(x_mm: float, y_mm: float) -> str:
+    """Position in points, counted from the lower left corner of the page."""
     return f"{x_mm * _POINTS_PER_MM:.4f} {(HEIGHT_MM - y_mm) * _POINTS_PER_MM:.4f}"
 
 
@@ -117,7 +117,7 @@ def _pdf_shape(shape: Shape) -> str:
         f"{colour} {'rg' if shape.filled else 'RG'}",
     ]
     for first, *others in shape.outlines:
-        lines += [f"{_at(*first)} m", *(f"{_at(*point)} l" for point in others)]
+        lines += [f"{_page_point(*first)} m", *(f"{_page_point(*point)} l" for point in others)]
         if shape.closed:
             lines.append("h")
     return "\n".join([*lines, "f*" if shape.filled else "S"])
@@ -126,13 +126,13 @@ def _pdf_shape(shape: Shape) -> str:
 def _pdf_text(text: Text) -> str:
     x_mm, y_mm = text.at
     if text.centred:
-        x_mm -= _WIDTH_OF_A_CHARACTER * text.height_mm * len(text.text) / 2
+        x_mm -= _CHARACTER_WIDTH * text.height_mm * len(text.text) / 2
     return (
-        f"BT 0 0 0 rg /F1 {text.height_mm * _POINTS_PER_MM:.3f} Tf {_at(x_mm, y_mm)} Td "
-        f"{_string(text.text)} Tj ET"
+        f"BT 0 0 0 rg /F1 {text.height_mm * _POINTS_PER_MM:.3f} Tf {_page_point(x_mm, y_mm)} Td "
+        f"{_pdf_string(text.text)} Tj ET"
     )
 
 
-def _string(text: str) -> str:
+def _pdf_string(text: str) -> str:
     printable = "".join(character if character.isprintable() else "?" for character in text)
     return "(" + printable.replace("\\", r"\\").replace("(", r"\(").replace(")", r"\)") + ")"

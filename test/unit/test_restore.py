@@ -165,11 +165,11 @@ def test_differences_and_their_transpose():
 def test_sparse_prior_lets_edges_stand():
     image = np.zeros((1, 20, 20), np.float32)
     image[0, :, 10:] = 0.5
-    right = SparsePrior([image], None).of_front[1]
+    right = SparsePrior([image], None).front_weights[1]
     assert right[5, 3] == pytest.approx(1)
     assert right[5, 9] < 0.02
     # An edge in one channel is an edge in all.
-    assert SparsePrior([image, 0 * image], None).of_front[1][5, 9] < 0.02
+    assert SparsePrior([image, 0 * image], None).front_weights[1][5, 9] < 0.02
 
 
 def test_prior_is_symmetric_and_judges_what_is_hidden_with_what_is_beside_it():

@@ -1,4 +1,4 @@
-"""What the search for an unknown mask reckons with."""
+"""Settings of the search for an unknown mask."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from coded_aperture_ros.core.options import check_options, option
 
 @dataclasses.dataclass(frozen=True)
 class BlindConfig:
-    """How large blur and mask may be, and how long to search.
+    """Largest blur and mask, and effort of the search.
 
     Raises `InputError`, naming the setting that is out of range.
     """
@@ -33,5 +33,5 @@ class BlindConfig:
 
     @property
     def window_px(self) -> int:
-        """Side of the windows that the likelihood is that of."""
+        """Side of the windows of the likelihood, px."""
         return 2 * self.largest_blur_px

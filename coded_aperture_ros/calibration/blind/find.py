@@ -1,4 +1,4 @@
-"""The mask of a camera from pictures of planes at unknown distances (thesis 10.2).
+"""Mask of a camera from pictures of planes at unknown distances (thesis 10.2).
 
 1. Spectra are matched with one another: the blur sizes but for a common factor.
 2. A mixture of masks, whose autocorrelation is easy to optimise to, is fitted together with the
@@ -41,7 +41,7 @@ from coded_aperture_ros.optics import Mask
 
 FreeFit = MaskFit[FreeSizes]
 
-_FEWEST = 4
+_MIN_PLANES = 4
 _HIGHEST_FREQUENCY = 0.4
 _COARSE_PARTS = 2
 _FINE_PARTS = 3
@@ -51,42 +51,42 @@ _COARSE_STEPS = 60
 _FINE_STEPS = 200
 _SIZE_STEPS = 60
 # The mixture's autocorrelation, relative to its middle, where the mask ends.
-_END = 0.015
+_EDGE_CORRELATION = 0.015
 # A grid of the mixture much wider than the mask wastes its cells.
-_ROOMY = 0.75
+_MIN_EXTENT_SHARE = 0.75
 _MARGIN = 1.08
-_ROOM = 1.1
+_GRID_MARGIN = 1.1
 # The mixture's light ends within this factor of the mask's.
-_UNCERTAIN = 1.09
+_EXTENT_FACTOR = 1.09
 # Widths of a grid to try are so many cells apart; the best numbers of cells are refined.
 _CELL_STEP = 0.35
 _PROMISING = 5
-# What a cell more has to gain: to be open or closed is one bit.
-_PER_CELL = 2 * np.log(2)
+# Gain that a further cell needs: to be open or closed is one bit.
+_COST_PER_CELL = 2 * np.log(2)
 _ROUNDS = 2
 _FLIPS = 12
 _LIKELY_FLIPS = 12
-_LEAST_EXPLAINED = 0.25
+_MIN_EXPLAINED = 0.25
 # A mixture explains spectra a little better than the right mask, and much better than a wrong one.
 # Twice the negative log-likelihood per coefficient: 0.007 to 0.016 for masks that were found, 0.036
 # for one with a wrong cell, 0.042 for another mask.
-_DOUBTFUL = 0.025
+_MAX_MIXTURE_GAIN = 0.025
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BlindMask:
-    """A mask found from planes at unknown distances."""
+    """Mask found from planes at unknown distances."""
 
     # Binary, cropped to where it is open. As found, or turned by 180 degrees: spectra do not tell.
     mask: Mask
     blur_sizes_px: DoubleArray  # [planes]; width of the mask's extent in each picture, unsigned
-    # What of the structure of the spectra the mask explains, 0 to 1; an open square explains
-    # nothing.
+    # Share of the structure of the spectra that the mask explains, 0 to 1; an open square
+    # explains nothing.
     explained: float
     # [planes, 2, n, n // 2 + 1]; logarithm of the power of each picture's windows, as it is and as
     # the mask explains it, at the frequencies of ``rfft2``; NaN at those that were not looked at.
     spectra: DoubleArray
-    # Whether a picture is blurred by more than was reckoned with; by how much is uncertain then.
+    # Whether a picture is blurred by more than the largest blur; its size is uncertain then.
     reaches_limit: bool
     # Whether a mixture of masks explains the spectra so much better that this may not be the mask.
     doubtful: bool = False
@@ -98,15 +98,32 @@ def find_mask(
     config: BlindConfig | None = None,
     progress: Progress = iter,
 ) -> BlindMask:
-    """Find mask and blur sizes from pictures of textured planes at unknown distances.
+    """Mask and blur sizes from pictures of textured planes at unknown distances.
 
-    The pictures are linear light, float32 [rows, columns] or [rows, columns, 3], all of one camera
-    and setting, each of a plane parallel to the sensor, all on one side of the focus, in any order.
-    The textures need not be the same. Messages call them by `names`; `progress` wraps the iteration
-    over the steps, as ``tqdm.tqdm`` does.
+    Parameters
+    ----------
+    images : sequence of ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light, all of one camera and setting, each of a plane parallel to the sensor, all on
+        one side of the focus, in any order. The textures need not be the same.
+    names : sequence of str
+        Names of the pictures for messages.
+    config : BlindConfig, optional
+    progress : callable, optional
+        Wraps the iteration over the steps, as ``tqdm.tqdm`` does.
 
-    Raises `InputError` if there are fewer than four planes, one is no use (size, light, texture),
-    all are blurred alike, or no mask is to be seen in their spectra.
+    Returns
+    -------
+    BlindMask
+
+    Raises
+    ------
+    InputError
+        If there are fewer than four planes, one cannot be used (size, light, texture), all are
+        blurred alike, or their spectra show no mask.
+
+    References
+    ----------
+    Martinello 2012, section 10.2.
     """
     config = config or BlindConfig()
     greys = _checked(images, names, config)
@@ -117,11 +134,11 @@ def find_mask(
 def _checked(
     images: Sequence[FloatArray], names: Sequence[str], config: BlindConfig
 ) -> list[FloatArray]:
-    """Return the grey pictures, or refuse them."""
-    if len(images) < _FEWEST:
+    """Grey pictures; raises `InputError` if one cannot be used."""
+    if len(images) < _MIN_PLANES:
         raise InputError(
             f"{len(images)} planes are too few to tell the mask from the textures: take at least "
-            f"{_FEWEST}, better 8 or more, at different distances"
+            f"{_MIN_PLANES}, better 8 or more, at different distances"
         )
     for image, name in zip(images, names, strict=True):
         check_picture(image, name, images[0].shape[:2], names[0])
@@ -137,7 +154,7 @@ def _checked(
 
 
 class _Search:
-    """The steps of `find_mask` after the relative sizes."""
+    """Steps of `find_mask` after the relative sizes."""
 
     def __init__(self, images: list[FloatArray], config: BlindConfig, progress: Progress) -> None:
         fourier = WindowedFourierBasis(config.window_px, _HIGHEST_FREQUENCY)
@@ -147,13 +164,13 @@ class _Search:
         self.progress = progress
         self.widest_px = float(config.largest_blur_px)
         # A grid that is a cell too wide still has room.
-        self.likelihood = MaskLikelihood(means, fourier, _ROOM * self.widest_px)
+        self.likelihood = MaskLikelihood(means, fourier, _GRID_MARGIN * self.widest_px)
         self.random = np.random.default_rng(config.seed)
 
     def run(self, relative_sizes: DoubleArray) -> BlindMask:
         fit = self._mixture(relative_sizes * self.widest_px)
         extent = _extent(fit)
-        if extent < _ROOMY:
+        if extent < _MIN_EXTENT_SHARE:
             fit = self._mixture(fit.sizes_px * min(extent * _MARGIN, 1))
             extent = _extent(fit)
         found = FoundSpectra.from_fit(fit, self.likelihood)
@@ -172,7 +189,7 @@ class _Search:
                 "there a mask with a pattern in the lens?"
             )
         explained = self._explained(fit, found)
-        if explained < _LEAST_EXPLAINED:
+        if explained < _MIN_EXPLAINED:
             raise InputError(
                 "no mask is to be seen in the spectra of the planes "
                 f"({explained:.0%} of their structure explained): is there a mask with a pattern "
@@ -187,14 +204,14 @@ class _Search:
             explained=explained,
             spectra=self._spectra(fit),
             reaches_limit=bool(sizes_px.max() > self.widest_px),
-            doubtful=bool(self._value(fit) - least > _DOUBTFUL * coefficients),
+            doubtful=bool(self._value(fit) - least > _MAX_MIXTURE_GAIN * coefficients),
         )
 
     def _fit(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> FreeFit:
         return MaskFit(parts, FreeSizes(sizes_px, self.likelihood.widest_px), log_noise)
 
     def _mixture(self, sizes_px: NDArray) -> FreeFit:
-        """Fit a mixture and the sizes, coarse masks first."""
+        """Mixture and sizes, coarse masks first."""
         parts = random_parts(_COARSE_PARTS, _COARSE_CELLS)
         fit = self._fit(parts, sizes_px, self.likelihood.first_log_noise)
         for _ in range(2):
@@ -209,7 +226,7 @@ class _Search:
     def _tried(
         self, fit: FreeFit, found: FoundSpectra, extent: float
     ) -> list[tuple[NDArray, float]]:
-        """Return the best grids, best number of cells first, with widths over the mixture's."""
+        """Best grids, best number of cells first, with widths over the mixture's."""
         best: dict[int, tuple[BinaryGrid, float]] = {}
         candidates = [(n, float(width)) for n in self._counts for width in _widths(extent, n)]
         for count, width in self.progress(candidates):
@@ -228,14 +245,14 @@ class _Search:
         return GridMisfit(self.likelihood, found, cells, fit.sizes_px / cells)
 
     def _resized(self, fit: FreeFit, cells: NDArray) -> FreeFit:
-        """Fit sizes, textures and noise to a grid."""
+        """Fit of sizes, textures and noise to a grid."""
         fit = dataclasses.replace(fit, parts=normalised(cells[None]))
         return fit.optimise(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _refined(
         self, mixture: FreeFit, found: FoundSpectra, cells: NDArray, width: float
     ) -> FreeFit:
-        """Refine sizes and cells in turn, each with the others as found."""
+        """Fit of sizes and cells in turn, each with the others as found."""
         fit = self._fit(mixture.parts, mixture.sizes_px * width, mixture.log_noise)
         for _ in range(_ROUNDS):
             fit = self._resized(dataclasses.replace(fit, log_noise=mixture.log_noise), cells)
@@ -244,7 +261,7 @@ class _Search:
         return dataclasses.replace(fit, parts=normalised(cells[None]))
 
     def _redrawn(self, fit: FreeFit) -> list[FreeFit]:
-        """Draw a mask with every other number of cells, for openings that lie between its own."""
+        """Fits of the mask with every other number of cells, for openings between its own cells."""
         cells = _cells(fit)
         redrawn = []
         for count in self._counts:
@@ -254,13 +271,13 @@ class _Search:
         return redrawn
 
     def _flipped(self, fit: FreeFit, found: FoundSpectra) -> FreeFit:
-        """Open and close single cells while that is likelier."""
+        """Fit after opening and closing single cells while that is likelier."""
         value = self._value(fit)
         for _ in range(_FLIPS):
             cells = _cells(fit)
             misfits = self._misfit(fit, found, len(cells)).flip_values(cells)
             changed = []
-            for cell in sorted({*np.argsort(misfits)[:_LIKELY_FLIPS], *_alone(cells)}):
+            for cell in sorted({*np.argsort(misfits)[:_LIKELY_FLIPS], *_isolated_cells(cells)}):
                 flipped = cells.copy()
                 flipped.flat[cell] = 1 - flipped.flat[cell]
                 changed.append(dataclasses.replace(fit, parts=normalised(flipped[None])))
@@ -272,7 +289,7 @@ class _Search:
         return fit.optimise(self.likelihood, _SIZE_STEPS, masks=False)
 
     def _value(self, fit: FreeFit) -> float:
-        """Return twice the negative log-likelihood of one window of each group."""
+        """Twice the negative log-likelihood of one window of each group."""
         groups = self.likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
         value, _ = self.likelihood.value_and_gradient(
             fit.parts, fit.sizes_px, groups.textures, fit.log_noise, groups
@@ -283,7 +300,7 @@ class _Search:
         return self._value(fit) + _penalty(fit.parts[0])
 
     def _explained(self, fit: FreeFit, found: FoundSpectra) -> float:
-        """Compare the misfit with that of an open rectangle of the same extent."""
+        """Misfit relative to that of an open rectangle of the same extent, subtracted from 1."""
         cells = _cells(fit)
         opened = np.zeros_like(cells)
         opened[_bounds(cells)] = 1
@@ -291,7 +308,7 @@ class _Search:
         return 1 - misfit.value(cells) / misfit.value(opened)
 
     def _spectra(self, fit: FreeFit) -> NDArray:
-        """Return measured and explained spectra, of the windows of least contrast."""
+        """Measured and explained spectra of the windows of least contrast."""
         found = FoundSpectra.from_fit(fit, self.likelihood)
         _, first = np.unique(found.groups.plane, return_index=True)
         powers = np.stack([found.groups.mean, found.signal + found.noise], axis=1)[first]
@@ -302,39 +319,42 @@ class _Search:
 
 
 def _cells(fit: FreeFit) -> NDArray:
-    """Return a binary mask's open (1) and closed (0) cells [n, n]."""
+    """Open (1) and closed (0) cells [n, n] of a binary mask."""
     return (fit.parts[0] > 0).astype(np.float64)
 
 
 def _widths(extent: float, cells: int) -> NDArray:
-    """Return widths of grids of cells to try, near that of the mask as the mixture has it."""
-    low = extent / _UNCERTAIN
-    high = min(extent * _UNCERTAIN, 1.0)
+    """Widths of grids of cells to try, near that of the mask of the mixture."""
+    low = extent / _EXTENT_FACTOR
+    high = min(extent * _EXTENT_FACTOR, 1.0)
     count = int(np.ceil(np.log(high / low) * cells / _CELL_STEP)) + 1
     return np.geomspace(low, high, count)
 
 
 def _penalty(cells: NDArray) -> float:
-    """Return what the choice of the cells in the rectangle around the open ones costs."""
-    return float(_PER_CELL * cells[_bounds(cells)].size)
+    """Cost of the choice of the cells in the rectangle around the open ones."""
+    return float(_COST_PER_CELL * cells[_bounds(cells)].size)
 
 
-def _alone(cells: NDArray) -> IndexArray:
-    """Return which cells differ from all their neighbours above, below, left and right, flat."""
+def _isolated_cells(cells: NDArray) -> IndexArray:
+    """Flat indices of cells that differ from all four neighbours."""
     padded = np.pad(cells, 1)
     around = (padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:])
     return np.flatnonzero(np.all([other != cells for other in around], axis=0))
 
 
 def _bounds(cells: NDArray) -> tuple[slice, slice]:
-    """Return the rows and the columns between the first and the last with an open cell."""
+    """Rows and columns between the first and the last with an open cell."""
     rows, columns = (np.flatnonzero(cells.any(axis=axis)) for axis in (1, 0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
 def _extent(fit: FreeFit) -> float:
-    """Return the width of the mask over that of the mixture's grid: where its light ends."""
+    """Width of the mask over that of the mixture's grid: where its light ends."""
     cells = fit.parts.shape[-1]
     correlation = autocorrelation(fit.parts)
     profiles = [correlation.max(axis=axis)[:cells] / correlation[0, 0] for axis in (0, 1)]
-    return max(int(np.flatnonzero(profile > _END)[-1]) + 1 for profile in profiles) / cells
+    return (
+        max(int(np.flatnonzero(profile > _EDGE_CORRELATION)[-1]) + 1 for profile in profiles)
+        / cells
+    )

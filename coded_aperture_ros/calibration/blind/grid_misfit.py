@@ -1,12 +1,12 @@
-"""How badly grids of cells explain the spectra of planes, as a quadratic function.
+"""Misfit of grids of cells to the spectra of planes, as a quadratic function.
 
 A spectrum is linear in the autocorrelation of the mask's grid. Near the spectra that were found
-the likelihood is quadratic in them, and what smooth textures and noise can make up for is
-projected out. What remains is a small matrix, with which a million grids can be tried.
+the likelihood is quadratic in them, and what smooth textures and noise can compensate is projected
+out. The result is a small matrix, with which a million grids can be tried.
 
 Grids are sought grey first, from random starts: these are easy to improve. The threshold is the one
 that explains the spectra best; then single cells are opened and closed, also where it gets worse
-for a while.
+for a while (tabu search).
 """
 
 import dataclasses
@@ -21,19 +21,19 @@ from coded_aperture_ros.calibration.mask.likelihood import Groups, MaskLikelihoo
 from coded_aperture_ros.calibration.mask.spectra import half_plane
 from coded_aperture_ros.core.arrays import DoubleArray
 
-_NEGLIGIBLE = 1e-9
+_MIN_EIGENVALUE = 1e-9
 _GREY_STEPS = 150
 _FLIPS = 200
 _PATIENCE = 40
 # A cell that was changed stays for so many steps (tabu search).
-_REST = 8
-_REST_SPREAD = 6
-_FEWEST_OPEN = 2
+_TABU_STEPS = 8
+_TABU_SPREAD = 6
+_MIN_OPEN_CELLS = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FoundSpectra:
-    """The spectra of a fit, around which the likelihood is expanded.
+    """Spectra of a fit, around which the likelihood is expanded.
 
     Power of the blurred texture (`signal` [G, K]) and variance of its noise [G, 1], by group.
     """
@@ -44,7 +44,7 @@ class FoundSpectra:
 
     @classmethod
     def from_fit(cls, fit: MaskFit, likelihood: MaskLikelihood) -> "FoundSpectra":
-        """Take the spectra of a fit, with the textures that suit it best."""
+        """Spectra of a fit, with the textures that suit it best."""
         groups = likelihood.group(fit.parts, fit.sizes_px, fit.log_noise)
         power = likelihood.spectra.expected(fit.parts, fit.sizes_px).power
         signal = np.exp(groups.textures @ likelihood.texture) * power[groups.slope, groups.plane]
@@ -52,7 +52,7 @@ class FoundSpectra:
 
 
 class GridMisfit:
-    """The misfit of square grids of n x n cells, whose widths at each plane are given.
+    """Misfit of square grids of n x n cells, for given widths of a cell at each plane.
 
     It is about twice the negative log-likelihood of one window of each group.
     """
@@ -98,13 +98,13 @@ class GridMisfit:
         # The mask's light is that of the spectra found.
         self._light = light / np.sum(signal**2)
         values, vectors = np.linalg.eigh(hessian)
-        kept = values > _NEGLIGIBLE * values.max()
+        kept = values > _MIN_EIGENVALUE * values.max()
         roots = np.sqrt(values[kept])
         self._root = (vectors[:, kept] * roots).T
         self._target = vectors[:, kept].T @ slope / roots
 
     def _stretched(self, likelihood: MaskLikelihood, cell_px: float) -> NDArray:
-        """Return the autocorrelation in pixels of each lag of the grid [pixel lags, lags]."""
+        """Autocorrelation in pixels of each lag of the grid [pixel lags, lags]."""
         reach = likelihood.spectra.width - 1
         kernel = _square_overlap(
             np.arange(-reach, reach + 1)[:, None] - np.arange(1 - self.cells, self.cells) * cell_px,
@@ -122,21 +122,21 @@ class GridMisfit:
         return np.where(self.lags.any(axis=1), at(1) + at(-1), at(1))
 
     def autocorrelation(self, grid: NDArray) -> DoubleArray:
-        """Return that of a grid [n, n], at `lags`."""
+        """Autocorrelation of a grid [n, n] at `lags`."""
         return autocorrelation(grid[None])[self.lags[:, 0], self.lags[:, 1]]
 
     def misfit(self, autocorrelation: NDArray) -> DoubleArray:
-        """Return the misfit of autocorrelations [..., lags]; their scale does not matter."""
+        """Misfit of autocorrelations [..., lags] of any scale."""
         light = autocorrelation @ self._light
         error = (autocorrelation / light[..., None]) @ self._root.T - self._target
         return np.asarray(np.sum(error**2, axis=-1))
 
     def value(self, grid: NDArray) -> float:
-        """Return the misfit of a grid [n, n]."""
+        """Misfit of a grid [n, n]."""
         return float(self.misfit(self.autocorrelation(grid)))
 
     def flip_values(self, grid: NDArray) -> DoubleArray:
-        """Return the misfit of a binary grid with each of its cells changed [n * n].
+        """Misfit of a binary grid with each of its cells changed [n * n].
 
         Not finite where no cell would be open.
         """
@@ -147,7 +147,7 @@ class GridMisfit:
             return self.misfit(self.autocorrelation(grid) + changes)
 
     def value_and_gradient(self, x: DoubleArray) -> tuple[float, DoubleArray]:
-        """Return the misfit of a grid of any transmissions, flat, and its gradient."""
+        """Misfit of a grid of any transmissions, flat, and its gradient."""
         neighbours = self._neighbours(x.reshape(self.cells, self.cells))
         autocorrelation = x @ neighbours / 2
         light = autocorrelation @ self._light
@@ -165,7 +165,7 @@ class GridMisfit:
 
 
 def _square_overlap(lag: NDArray, cell_px: float) -> NDArray:
-    """Return the autocorrelation of a cell, integrated over pixels, along one axis; unit sum."""
+    """Autocorrelation of a cell, integrated over pixels, along one axis; unit sum."""
     total = np.zeros_like(lag)
     for pixel, one in ((-1, 1), (0, -2), (1, 1)):
         for cell, other in ((-1, 1), (0, -2), (1, 1)):
@@ -175,7 +175,7 @@ def _square_overlap(lag: NDArray, cell_px: float) -> NDArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class BinaryGrid:
-    """Open (1) and closed (0) cells [n, n], and how badly they explain the spectra."""
+    """Open (1) and closed (0) cells [n, n], and their misfit."""
 
     cells: DoubleArray
     misfit: float
@@ -184,7 +184,7 @@ class BinaryGrid:
 def best_grid(
     misfit: GridMisfit, starts: int, random: np.random.Generator, grids: Sequence[DoubleArray] = ()
 ) -> BinaryGrid:
-    """Return the best grid found from random starts and from binary grids."""
+    """Best grid from random starts and from binary grids."""
     begun = [improved(misfit, grid, random) for grid in grids]
     for _ in range(starts):
         grey = _grey(misfit, random.random((misfit.cells, misfit.cells)))
@@ -203,13 +203,13 @@ def _grey(misfit: GridMisfit, start: NDArray) -> NDArray:
 
 
 def _thresholded(misfit: GridMisfit, grey: NDArray) -> NDArray:
-    thresholds = np.sort(grey.ravel())[::-1][_FEWEST_OPEN - 1 :]
+    thresholds = np.sort(grey.ravel())[::-1][_MIN_OPEN_CELLS - 1 :]
     grids = [(grey >= threshold).astype(np.float64) for threshold in np.unique(thresholds)]
     return min(grids, key=misfit.value)
 
 
 def improved(misfit: GridMisfit, grid: DoubleArray, random: np.random.Generator) -> BinaryGrid:
-    """Improve a binary grid by opening and closing single cells."""
+    """Binary grid after opening and closing single cells."""
     cells = grid.copy()
     best = BinaryGrid(cells.copy(), misfit.value(cells))
     resting = np.zeros(cells.size, int)
@@ -221,7 +221,7 @@ def improved(misfit: GridMisfit, grid: DoubleArray, random: np.random.Generator)
             break
         cell = int(np.where(allowed, misfits, np.inf).argmin())
         cells.flat[cell] = 1 - cells.flat[cell]
-        resting[cell] = step + _REST + random.integers(_REST_SPREAD)
+        resting[cell] = step + _TABU_STEPS + random.integers(_TABU_SPREAD)
         if misfits[cell] < best.misfit:
             best = BinaryGrid(cells.copy(), float(misfits[cell]))
             last = step

@@ -1,4 +1,4 @@
-"""How much more one plane is blurred than another, without knowing the mask.
+"""Relative blur sizes of planes, without knowing the mask.
 
 The same mask shapes all spectra, stretched: twice the blur has its zeros at half the frequency. On
 a logarithmic axis of frequency stretching is shifting, so that spectra are matched by correlation,
@@ -24,21 +24,21 @@ _DIRECTIONS = 48
 _STEP = 0.02
 # The lowest frequencies, in cycles per window, lie within the window's own width; the highest, in
 # cycles per pixel, in the corners of the spectrum.
-_LOWEST_CYCLES = 4
-_HIGHEST = 0.42
+_MIN_CYCLES = 4
+_MAX_FREQUENCY = 0.42
 # Above this ratio of power to noise the shape of a spectrum is to be seen.
-_ABOVE_NOISE = 1.5
+_MIN_SNR = 1.5
 _SMOOTH_DEGREE = 2
 # Blur sizes are looked for up to this ratio (9), in steps.
-_REACH = round(2.2 / _STEP)
+_MAX_SHIFT = round(2.2 / _STEP)
 _ROUNDS = 5
-_LEAST_CORRELATION = 0.35
-_LEAST_RANGE = 1.15
+_MIN_CORRELATION = 0.35
+_MIN_RANGE = 1.15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Shape:
-    """What stands out of a spectrum, and how far to trust it; both [directions, frequencies]."""
+    """Deviation of a spectrum from smooth texture, with weights [directions, frequencies]."""
 
     deviation: DoubleArray
     weight: DoubleArray
@@ -47,7 +47,7 @@ class _Shape:
 def relative_blur_sizes(
     images: Sequence[FloatArray], names: Sequence[str], window_px: int
 ) -> DoubleArray:
-    """Estimate the blur sizes of grey pictures but for a common factor [planes]; the largest is 1.
+    """Blur sizes of grey pictures but for a common factor [planes]; the largest is 1.
 
     They are good to some per cent. The window has to be four times as wide as the largest blur: the
     spectrum has to be resolved finely. Raises `InputError` if a spectrum has nothing in common with
@@ -55,12 +55,12 @@ def relative_blur_sizes(
     """
     shapes = [_shape(image, window_px) for image in images]
     count = len(shapes)
-    gains = np.zeros((count, count, 2 * _REACH + 1))
+    gains = np.zeros((count, count, 2 * _MAX_SHIFT + 1))
     strongest = np.zeros((count, count))
     for i, j in itertools.permutations(range(count), 2):
-        gains[i, j], strongest[i, j] = _likelihood_of_shifts(shapes[i], shapes[j])
+        gains[i, j], strongest[i, j] = _shift_gains(shapes[i], shapes[j])
     for name, correlation in zip(names, strongest.max(axis=1), strict=True):
-        if correlation < _LEAST_CORRELATION:
+        if correlation < _MIN_CORRELATION:
             raise InputError(
                 f"{name}: its spectrum has nothing in common with those of the other planes "
                 f"(correlation {correlation:.2f}): blur there is too little or too much, or the "
@@ -68,7 +68,7 @@ def relative_blur_sizes(
             )
     shifts = _consistent(gains)
     sizes = np.exp(_STEP * (shifts.min() - shifts))
-    if sizes.min() * _LEAST_RANGE > 1:
+    if sizes.min() * _MIN_RANGE > 1:
         raise InputError(
             "all planes are blurred alike, to "
             f"{1 / sizes.min() - 1:.0%}: mask and texture cannot be told apart; take planes at "
@@ -78,12 +78,12 @@ def relative_blur_sizes(
 
 
 def _shape(image: FloatArray, window_px: int) -> _Shape:
-    """Return the spectrum's deviation from what is smooth, in polar coordinates."""
+    """Deviation of a spectrum from what is smooth, in polar coordinates."""
     fourier = WindowedFourierBasis(window_px)
     mean = mean_by_contrast(window_powers(image, fourier), fourier, classes=1)[0]
     mean = mean.astype(np.float64)
     noise = float(mean @ fourier.noise_weights)
-    logarithm = np.arange(np.log(_LOWEST_CYCLES / window_px), np.log(_HIGHEST), _STEP)
+    logarithm = np.arange(np.log(_MIN_CYCLES / window_px), np.log(_MAX_FREQUENCY), _STEP)
     angle = (np.arange(_DIRECTIONS) + 0.5) * np.pi / _DIRECTIONS
     # The half plane with positive horizontal frequencies; rows wrap around.
     half = mean.reshape(window_px, -1)
@@ -97,7 +97,7 @@ def _shape(image: FloatArray, window_px: int) -> _Shape:
         mode="nearest",
     )
     ratio = np.exp(polar) / noise
-    weight = np.where(ratio > _ABOVE_NOISE, (1 - 1 / np.maximum(ratio, 1)) ** 2, 0)
+    weight = np.where(ratio > _MIN_SNR, (1 - 1 / np.maximum(ratio, 1)) ** 2, 0)
     powers_of_frequency = np.vander(logarithm - logarithm.mean(), _SMOOTH_DEGREE + 1)
     deviation = np.empty_like(polar)
     for line, weights, out in zip(polar, np.sqrt(weight + 1e-6), deviation, strict=True):
@@ -107,14 +107,14 @@ def _shape(image: FloatArray, window_px: int) -> _Shape:
     return _Shape(deviation, weight)
 
 
-def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float]:
-    """Return the gain of taking two spectra for one, for every shift, and the best correlation."""
-    period = 2 * first.weight.shape[1] + 2 * _REACH
+def _shift_gains(first: _Shape, second: _Shape) -> tuple[NDArray, float]:
+    """Log-likelihood gain of every shift between two spectra, and the best correlation."""
+    period = 2 * first.weight.shape[1] + 2 * _MAX_SHIFT
 
     def correlated(a: NDArray, b: NDArray) -> DoubleArray:
         spectrum = np.conj(scipy.fft.rfft(a, period)) * scipy.fft.rfft(b, period)
         both = scipy.fft.irfft(spectrum.sum(axis=0), period)
-        return np.asarray(both[np.arange(-_REACH, _REACH + 1)])
+        return np.asarray(both[np.arange(-_MAX_SHIFT, _MAX_SHIFT + 1)])
 
     a = first.deviation
     v = first.weight
@@ -128,16 +128,16 @@ def _likelihood_of_shifts(first: _Shape, second: _Shape) -> tuple[NDArray, float
 
 
 def _consistent(gains: NDArray) -> NDArray:
-    """Return the shift of every spectrum under which all pairs together gain most [planes]."""
+    """Shift of every spectrum under which all pairs together gain most [planes]."""
     count = len(gains)
-    places = np.arange(-2 * _REACH, 2 * _REACH + 1)
+    places = np.arange(-2 * _MAX_SHIFT, 2 * _MAX_SHIFT + 1)
 
     def gain_of(j: int, others: dict[int, int]) -> DoubleArray:
         total = np.zeros(len(places))
         for i, place in others.items():
             apart = places - place
-            near = np.abs(apart) <= _REACH
-            total[near] += gains[i, j, apart[near] + _REACH]
+            near = np.abs(apart) <= _MAX_SHIFT
+            total[near] += gains[i, j, apart[near] + _MAX_SHIFT]
         return total
 
     best = gains.max(axis=2)

@@ -1,1 +1,1 @@
-"""Which mask made the blur: recognised among known ones, or found."""
+"""Mask of a camera from the spectra of planes: recognised among known ones, or found."""

@@ -1,6 +1,6 @@
-"""Masks as square grids of cells, their autocorrelations, and the way back: phase retrieval.
+"""Masks as square grids of cells, their autocorrelations, and phase retrieval.
 
-Power spectra leave it open whether a mask is turned by 180 degrees, and so is what is found here.
+Power spectra leave it open whether a mask is turned by 180 degrees, and so do these results.
 """
 
 from typing import Any
@@ -20,7 +20,7 @@ _STEPS = 300
 
 
 def square_cells(mask: Mask) -> DoubleArray:
-    """Return a mask's cells on a square grid, whose side is the mask's extent [n, n]."""
+    """Cells of a mask on a square grid [n, n] whose side is the mask's extent."""
     cells: DoubleArray = mask.transmission.astype(np.float64)
     side = max(cells.shape)
     if min(cells.shape) == side:
@@ -31,13 +31,13 @@ def square_cells(mask: Mask) -> DoubleArray:
 
 
 def autocorrelation(parts: DoubleArray) -> DoubleArray:
-    """Return the sum of the autocorrelations of grids [R, m, m]: [2m, 2m], lag zero first."""
+    """Sum of the autocorrelations of grids [R, m, m]: [2m, 2m], lag zero first."""
     torus = (2 * parts.shape[1], 2 * parts.shape[2])
     return scipy.fft.irfft2((np.abs(scipy.fft.rfft2(parts, torus)) ** 2).sum(axis=0), torus)
 
 
 def retrieve_masks(parts: DoubleArray, count: int) -> list[DoubleArray]:
-    """Find masks whose autocorrelations are about the sum of those of the parts.
+    """Masks [m, m] whose autocorrelations are about the sum of those of the parts.
 
     Phase retrieval for a non-negative mask of limited support, the best of many random starts.
     """

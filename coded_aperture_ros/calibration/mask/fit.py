@@ -1,4 +1,4 @@
-"""One guess at mask and blur sizes, and its improvement by quasi-Newton steps."""
+"""Estimate of mask and blur sizes, and its improvement by quasi-Newton steps."""
 
 import dataclasses
 from typing import Generic, TypeVar
@@ -15,7 +15,7 @@ Sizes = TypeVar("Sizes", bound=FreeSizes | LensSizes)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MaskFit(Generic[Sizes]):
-    """A mask, as a mixture, and blur sizes that may explain the pictures of planes."""
+    """Mask, as a mixture, and blur sizes that may explain the pictures of planes."""
 
     # [R, m, m]; masks whose autocorrelations add up to that of the mask; their squared sums add up
     # to one.
@@ -33,9 +33,9 @@ class MaskFit(Generic[Sizes]):
     def optimise(
         self, likelihood: MaskLikelihood, steps: int, masks: bool = True
     ) -> "MaskFit[Sizes]":
-        """Choose hypotheses for the windows, then make masks, sizes and noise likelier.
+        """Likelier fit: new hypotheses for the windows, then better masks, sizes and noise.
 
-        Without `masks` these stay as they are.
+        Without `masks` these stay fixed.
         """
         # Here: it is slow to import, and the nodes, which read a fit in a bank, make none.
         import scipy.optimize
@@ -52,7 +52,7 @@ class MaskFit(Generic[Sizes]):
 
 
 class Variables(Generic[Sizes]):
-    """What `MaskFit.optimise` varies: masks, sizes, textures and noise, in one vector.
+    """Variables of `MaskFit.optimise`: masks, sizes, textures and noise, in one vector.
 
     `start` are the variables of the fit, float64 [V], and `bounds` the least and most of each.
     """
@@ -73,14 +73,14 @@ class Variables(Generic[Sizes]):
         self._ends = np.cumsum([len(values) for values, _ in blocks])[:-1]
 
     def unpacked(self, x: NDArray) -> tuple[NDArray, Sizes, NDArray, NDArray]:
-        """Return parts of any brightness, sizes, textures and noise."""
+        """Parts of any brightness, sizes, textures and noise."""
         cells, sizes, textures, log_noise = np.split(x, self._ends)
         parts = cells.reshape(self._fit.parts.shape) if self._masks else self._fit.parts
         moved: Sizes = self._fit.sizes.moved(sizes)  # type: ignore[assignment]
         return parts, moved, textures.reshape(self._groups.textures.shape), log_noise
 
     def value_and_gradient(self, x: NDArray) -> tuple[float, NDArray]:
-        """Return the likelihood; the brightness of the parts does not matter."""
+        """Value and gradient of the likelihood; the brightness of the parts does not matter."""
         cells, sizes, textures, log_noise = self.unpacked(x)
         sums = cells.sum(axis=(1, 2))
         norm = np.sqrt(np.sum(sums**2))
@@ -100,12 +100,12 @@ class Variables(Generic[Sizes]):
 
 
 def normalised(parts: DoubleArray) -> DoubleArray:
-    """Scale masks so that their autocorrelations together have unit sum."""
+    """Masks scaled so that their autocorrelations together have unit sum."""
     return np.asarray(parts / np.sqrt(np.sum(parts.sum(axis=(1, 2)) ** 2)))
 
 
 def random_parts(count: int, cells: int) -> DoubleArray:
-    """Return masks to start from, brightest in their middle [count, cells, cells]."""
+    """Random masks to start from, brightest in their middle [count, cells, cells]."""
     x = (np.arange(cells) + 0.5) / cells - 0.5
     blob = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 0.3**2))
     return normalised(blob * np.random.default_rng(0).uniform(size=(count, cells, cells)) ** 2)

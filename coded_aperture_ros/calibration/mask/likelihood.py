@@ -1,4 +1,4 @@
-"""The likelihood of the spectra of planes, given a mixture of masks and the blur sizes.
+"""Likelihood of the spectra of planes, given a mixture of masks and the blur sizes.
 
 It is that of the filter bank's costs, with textures that are more flexible than power laws.
 """
@@ -22,9 +22,9 @@ _SCORING_STEPS = 12
 class Groups:
     """Windows that share a hypothesis.
 
-    Index of the plane and of the texture's slope [G], how many windows there are [G], their mean
-    power [G, K], and the logarithm of the textures' power over that of the slope, as coefficients
-    of smooth functions [G, 9].
+    Index of the plane and of the texture's slope [G], number of windows [G], their mean power [G,
+    K], and the logarithm of the textures' power over that of the slope, as coefficients of smooth
+    functions [G, 9].
     """
 
     plane: NDArray
@@ -45,11 +45,11 @@ class Gradient:
 
 
 class MaskLikelihood:
-    """How well masks and blur sizes explain the spectra of planes; less is likelier.
+    """Likelihood of masks and blur sizes for the spectra of planes; less is likelier.
 
     Windows that the same hypothesis about contrast and slope explains best are averaged; the
-    averages are all that the likelihood depends on while the hypotheses stay. Every average has
-    its own texture: the hypothesis' power law times a smooth function of frequency.
+    averages are all that the likelihood depends on while the hypotheses stay. Every average has its
+    own texture: the hypothesis' power law times a smooth function of frequency.
 
     `powers` are the spectra of every plane's windows [W, frequencies], made with `fourier`; no blur
     size is larger than `widest_px`.
@@ -75,9 +75,9 @@ class MaskLikelihood:
     def scores(
         self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray, every: int = 1
     ) -> DoubleArray:
-        """Return the score for several guesses at the blur sizes of all planes [guesses, I].
+        """Score of several estimates of the blur sizes of all planes [guesses, I].
 
-        Of the planes, only one of `every` so many is looked at.
+        Only every `every`-th plane is used.
         """
         chosen = range(0, len(self.powers), every)
         scores = np.zeros(len(sizes_px))
@@ -89,7 +89,7 @@ class MaskLikelihood:
         return scores
 
     def group(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> Groups:
-        """Give every window its best hypothesis, and average the windows that share one."""
+        """Groups of windows with the same best hypothesis, averaged."""
         expected = self.spectra.expected(parts, sizes_px).power
         found = []
         for i, powers in enumerate(self.powers):
@@ -105,13 +105,13 @@ class MaskLikelihood:
         return self._with_own_textures(groups, expected, log_noise)
 
     def _costs(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:
-        """Return the cost of every contrast and slope for a plane's windows [W, hypotheses]."""
+        """Cost of every contrast and slope for a plane's windows [W, hypotheses]."""
         variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise[plane])
         weights = (self.multiplicity / variance).reshape(-1, variance.shape[-1])
         return self.powers[plane] @ weights.T + (np.log(variance) @ self.multiplicity).ravel()
 
     def _with_own_textures(self, groups: Groups, expected: NDArray, log_noise: NDArray) -> Groups:
-        """Fit the texture of every group to its mean, by Fisher scoring."""
+        """Groups with their textures fitted to their means, by Fisher scoring."""
         weights = groups.count[:, None] * self.multiplicity
         stiffness = np.full(len(self.texture), 2 * _STIFFNESS * weights.sum() / len(weights))
         stiffness[0] = 0

@@ -1,4 +1,4 @@
-"""Whether a mask found from planes is one that is known, and how large it is then.
+"""Recognition of a mask found from planes among known ones, and its extent.
 
 A mask found from power spectra has soft edges, so that its extent is uncertain by a cell. A known
 mask with the same spectra has an exact one.
@@ -19,25 +19,25 @@ from coded_aperture_ros.optics import Mask
 _EXTENTS = np.geomspace(0.4, 1.35, 11)
 _TOLERANCE = 0.01
 # Every so many-th plane is enough to find the two best masks.
-_EVERY = 3
+_PLANE_STEP = 3
 # A mask is recognised if it falls short of the free fit by no more than this share of what the
 # next best mask falls short.
-_CLEARLY_BETTER = 0.6
+_MAX_SHORTFALL_RATIO = 0.6
 
 
 def recognise_mask(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], masks: Sequence[Mask]
 ) -> tuple[Mask, float] | None:
-    """Return the mask that explains the planes nearly as well as a free fit, and its extent.
+    """Mask that explains the planes nearly as well as a free fit, and its extent.
 
     The extent is that of the mask's grid at the most blurred plane, px. None if no mask is clearly
     better than the others.
     """
-    coarse = [_scores(likelihood, fit, mask, _EVERY).min() for mask in masks]
+    coarse = [_scores(likelihood, fit, mask, _PLANE_STEP).min() for mask in masks]
     found = {int(i): fit_extent(likelihood, fit, masks[i]) for i in np.argsort(coarse)[:2]}
     best, second = sorted(found, key=lambda i: found[i][1])
     shortfall, second_shortfall = (found[i][1] - fit.score for i in (best, second))
-    if shortfall > _CLEARLY_BETTER * second_shortfall:
+    if shortfall > _MAX_SHORTFALL_RATIO * second_shortfall:
         return None
     return masks[best], found[best][0]
 
@@ -45,7 +45,7 @@ def recognise_mask(
 def fit_extent(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], mask: Mask
 ) -> tuple[float, float]:
-    """Return the likeliest extent of a mask at the most blurred plane, px, and its score."""
+    """Likeliest extent of a mask at the most blurred plane, px, and its score."""
     import scipy.optimize
 
     scores = _scores(likelihood, fit, mask)
@@ -63,6 +63,6 @@ def fit_extent(
 def _scores(
     likelihood: MaskLikelihood, fit: MaskFit[LensSizes], mask: Mask, every: int = 1
 ) -> NDArray:
-    """Return the score of every extent to try."""
+    """Score of every extent to try."""
     cells = normalised(square_cells(mask)[None])
     return likelihood.scores(cells, _EXTENTS[:, None] * fit.sizes_px, fit.log_noise, every)

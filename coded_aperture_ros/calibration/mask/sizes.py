@@ -1,4 +1,4 @@
-"""What may vary of the blur sizes of planes while a mask is sought: all of them, or the focus.
+"""Free parameters of the blur sizes of planes: all sizes, or the focus of a thin lens.
 
 Sizes are a function of an optimiser's variables, whose `bounds` are the least and most of each.
 """
@@ -19,7 +19,7 @@ _LARGEST_RATIO = 0.95
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FreeSizes:
-    """Each plane by itself; none is blurred by more than `widest_px`."""
+    """Blur size of each plane by itself, up to `widest_px`."""
 
     px: DoubleArray  # [I]; widths of the mask's grid, unsigned
     widest_px: float
@@ -35,17 +35,17 @@ class FreeSizes:
         return 0.0, float(np.log(self.widest_px) / _UNIT)
 
     def moved(self, variables: DoubleArray) -> "FreeSizes":
-        """Return the sizes for other variables."""
+        """Sizes for other variables."""
         return FreeSizes(np.exp(_UNIT * variables), self.widest_px)
 
     def gradient(self, by_px: DoubleArray) -> DoubleArray:
-        """Return the derivatives by the variables from those by the sizes."""
+        """Derivatives by the variables from those by the sizes."""
         return by_px * self.px * _UNIT
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LensSizes:
-    """All on the line of a thin lens (thesis eq. 3.28), whose focus may vary."""
+    """Blur sizes on the line of a thin lens (thesis eq. 3.28), whose focus may vary."""
 
     # Blur size of the least blurred plane over that of the most blurred one, in [0, 1).
     near_ratio: float
@@ -60,7 +60,7 @@ class LensSizes:
 
     @property
     def _towards_focus(self) -> NDArray:
-        """How near the planes are to the focus in inverse depth: 0 for the most blurred, to 1."""
+        """Closeness of the planes to the focus in inverse depth: 0 for the most blurred, to 1."""
         v = self.inverse_depths
         share = (v - v.min()) / np.ptp(v)
         return np.asarray(share if self.sign > 0 else 1 - share)
@@ -85,7 +85,7 @@ class LensSizes:
 
     @property
     def lens(self) -> ThinLens:
-        """The line that the sizes lie on."""
+        """Thin lens of the line."""
         v = self.inverse_depths
         reach = float(np.ptp(v)) / (1 - self.near_ratio)
         focus = v.min() + reach if self.sign > 0 else v.max() - reach

@@ -1,9 +1,9 @@
-"""The spectra that masks give to texture of natural shape, and the way back to the masks.
+"""Expected spectra of masks for texture of natural shape, and derivatives by the masks.
 
 A mixture of masks stands for one whose autocorrelation is the sum of theirs: no power spectrum can
 tell the two apart. Grids of cells become PSFs, these one autocorrelation for every plane, and that
-the expected power spectrum of a window. All steps but one are linear. What is measured are
-the power spectra of the windows of pictures, and their means.
+the expected power spectrum of a window. All steps but one are linear. What is measured are the
+power spectra of the windows of pictures, and their means.
 """
 
 import dataclasses
@@ -27,7 +27,7 @@ _CLASSES = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Expected:
-    """Expected power of masks at some blur sizes, and what the way back needs.
+    """Expected power of masks at some blur sizes, and intermediate results for the derivatives.
 
     The power [slopes, I, K] is that of texture of unit contrast. Beside it: the masks [R, m, m],
     the blur sizes [I], the transforms of the PSFs [R, I, n, n // 2 + 1], padded so that their
@@ -42,9 +42,9 @@ class Expected:
 
 
 class MaskSpectra:
-    """From a mixture of masks to expected power spectra, and derivatives backwards.
+    """Expected power spectra of a mixture of masks, and their derivatives.
 
-    Of the frequencies those K that `counts` says; no blur size is larger than `widest_px`.
+    `counts` selects K frequencies; no blur size is larger than `widest_px`.
     """
 
     def __init__(self, fourier: WindowedFourierBasis, counts: BoolArray, widest_px: float) -> None:
@@ -56,7 +56,7 @@ class MaskSpectra:
         )
 
     def expected(self, parts: NDArray, sizes_px: NDArray) -> Expected:
-        """Return the expected power for every slope and blur size."""
+        """Expected power for every slope and blur size."""
         renderers = _renderers(self.width, parts.shape[-1], sizes_px)
         psfs = np.einsum("ipa,rab,iqb->ripq", renderers, parts, renderers, optimize=True)
         transforms = scipy.fft.rfft2(psfs, self.torus)
@@ -67,7 +67,7 @@ class MaskSpectra:
         return Expected(power, parts, sizes_px, transforms, renderers)
 
     def backward(self, by_power: NDArray, expected: Expected) -> tuple[NDArray, NDArray]:
-        """Return the derivatives of a function by parts and sizes from those by power."""
+        """Derivatives of a function by parts and sizes, from those by power."""
         # Slope by slope: einsum would copy the operators, which takes longer than the products.
         by_lag = np.zeros((by_power.shape[1], len(self.lags)))
         for of_slope, operator in zip(by_power, self.operators, strict=True):
@@ -108,9 +108,9 @@ def half_plane(reach: int) -> IndexArray:
 def autocorrelation_to_power(
     fourier: WindowedFourierBasis, slope: float, lags: IndexArray
 ) -> DoubleArray:
-    """Return the matrix [K, lags] from a PSF's autocorrelation to a window's expected power.
+    """Matrix [K, lags] from a PSF's autocorrelation to a window's expected power.
 
-    The same as `WindowedFourierBasis.expected_power`, written as what it is: linear.
+    The same as `WindowedFourierBasis.expected_power`, written as a matrix.
     """
     n = fourier.window_px
     period = 4 * n
@@ -130,7 +130,7 @@ def autocorrelation_to_power(
 
 
 def window_powers(image: FloatArray, fourier: WindowedFourierBasis) -> FloatArray:
-    """Return the power spectra of a picture's windows, a quarter of a window apart [W, K].
+    """Power spectra of a picture's windows, a quarter of a window apart [W, K].
 
     White noise of variance s^2 has the power s^2. Raises `InputError` if the picture is smaller
     than a window.
@@ -142,10 +142,10 @@ def window_powers(image: FloatArray, fourier: WindowedFourierBasis) -> FloatArra
 def mean_by_contrast(
     powers: NDArray[np.floating], fourier: WindowedFourierBasis, classes: int = _CLASSES
 ) -> FloatArray:
-    """Average the spectra of windows [W, K] of about the same contrast [classes, K].
+    """Mean spectra of windows [W, K] of about the same contrast [classes, K].
 
-    Every window counts alike, whatever its contrast: the mean itself would be that of a few strong
-    edges. The averages keep the scale of the noise; the least contrast comes first.
+    Every window has the same weight, whatever its contrast: the mean itself would be that of a few
+    strong edges. The means keep the scale of the noise; the least contrast comes first.
     """
     contrast = powers @ fourier.multiplicity
     members = np.array_split(np.argsort(contrast), min(classes, len(powers)))

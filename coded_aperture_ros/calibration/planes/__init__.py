@@ -1,1 +1,1 @@
-"""Calibration from pictures of planes at known distances."""
+"""Calibration from pictures of textured planes at known depths."""

@@ -8,10 +8,10 @@ learns from planes too, but a subspace for each of them on its own).
 The likelihood of a single mask has many local maxima, because power spectra have no phases. A
 mixture of a few masks, whose autocorrelations add up, has the same power spectra to offer and is
 easy to optimise. The bank is computed from the mixture. Only for deblurring, a single mask of that
-autocorrelation is sought afterwards; its orientation (as found or rotated by 180 degrees) is
-beyond what power spectra tell.
+autocorrelation is sought afterwards; power spectra do not tell its orientation (as found or turned
+by 180 degrees).
 
-What is wrong with a picture is an error that names it, what could be better is advice.
+A picture that cannot be used is an error with its name; possible improvements are advice.
 """
 
 import dataclasses
@@ -51,11 +51,11 @@ _NEAR_FOCUS_PX = 1.5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PlanesCalibration:
-    """What a set of planes tells about a camera.
+    """Calibration of a camera from planes.
 
     `pattern` is mask and thin lens. The mask is known if it is one with a name, or the camera
     file's; else it was found from the pictures, and its extent is uncertain by a cell. `left_out`
-    are the depths that the other planes give each plane.
+    has the depth of each plane by the others.
     """
 
     bank: FilterBank
@@ -69,7 +69,7 @@ class PlanesCalibration:
 
     @property
     def residual_px(self) -> float:
-        """Root mean square difference of measured blur sizes from the line."""
+        """Root mean square difference of measured blur sizes from the line, px."""
         fitted = np.abs(self.pattern.blur_size_px(self.planes.depths_m))
         sizes = np.array([plane.size_px for plane in self.measured])
         return float(np.sqrt(np.mean((sizes - fitted) ** 2)))
@@ -83,27 +83,32 @@ def calibrate_planes(
     mask: Mask | None = None,
     progress: Progress = iter,
 ) -> PlanesCalibration:
-    """Learn a bank from planes, with focus and blur slope, and say how good it will be.
+    """Bank, focus and blur slope from planes, with their expected error.
 
     Parameters
     ----------
+    planes : Planes
     level_count : int, optional
-        Of the bank.
+        Levels of the bank.
     config : LearnConfig, optional
         Its window has to be twice as wide as the largest blur; 0 is 48 px here, as the blur is not
         known before.
     depth_range_m : (float, float), optional
-        Depths of the first and last level; by default those of the planes.
+        Depths of the first and last level, m; by default those of the planes.
     mask : Mask, optional
-        What is in the lens, if it is known. Otherwise the masks with names are tried, and if none
+        The mask in the lens, if it is known. Otherwise the masks with names are tried, and if none
         is clearly it, the mask is found from the pictures.
     progress : callable, optional
         Wraps the iteration over the steps of the search, as ``tqdm.tqdm`` does.
 
+    Returns
+    -------
+    PlanesCalibration
+
     Raises
     ------
     InputError
-        Naming the picture and what to do: no texture, wrong depths, planes on both sides of the
+        With the picture and what to do: no texture, wrong depths, planes on both sides of the
         focus, a depth range far beyond the planes.
     """
     config = (config or LearnConfig()).for_blur()
@@ -151,17 +156,22 @@ def learn_bank_from_planes(
     prior: NaturalImagePrior | None = None,
     progress: Progress = iter,
 ) -> FilterBank:
-    """Learn the bank alone, of a mask that is none of those with names.
+    """Bank from planes, for a mask that is none of those with names.
 
-    For the arguments see `calibrate_planes`; the prior is for the bank, the fit has a more flexible
-    one. A warning is logged if the window seems to be too small.
+    Parameters
+    ----------
+    planes : Planes
+    level_count, config, progress
+        See `calibrate_planes`.
+    prior : NaturalImagePrior, optional
+        Prior of the bank; the fit has a more flexible one.
 
     Returns
     -------
     FilterBank
         With the depths of the planes, which hold beside a camera file. Its PSFs are those of one
-        mask that has about the autocorrelation found; their orientation is a guess. Blur sizes
-        are the extent of that mask in px.
+        mask that has about the autocorrelation found; their orientation is a guess. Blur sizes are
+        the extent of that mask in px. A warning is logged if the window seems to be too small.
 
     Raises
     ------
@@ -198,7 +208,7 @@ def _learned_from(planes: Planes, pattern: LearnedPattern) -> str:
 
 
 def _mask(search: MaskSearch, mixture: LensFit, mask: Mask | None) -> tuple[Mask, float, bool]:
-    """Return the mask, its extent at the most blurred plane, and whether it is a known one."""
+    """Mask, its extent at the most blurred plane, and whether it is a known one."""
     if mask is not None:
         return mask, fit_extent(search.likelihood, mixture, mask)[0], True
     known = recognise_mask(search.likelihood, mixture, [Mask.named(name) for name in MASK_NAMES])

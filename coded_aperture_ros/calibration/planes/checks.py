@@ -1,4 +1,4 @@
-"""Whether pictures of planes are fit to learn from, before the learning: light, noise, texture."""
+"""Checks of pictures of planes before learning: light, noise, texture."""
 
 import dataclasses
 import math
@@ -18,16 +18,16 @@ _BRIGHTEST = 0.99
 _DIM = 0.1
 # A window has texture if its variance is so many times that of the noise.
 _TEXTURE_OVER_NOISE = 4.0
-_LEAST_TEXTURED = 0.2
+_MIN_TEXTURED = 0.2
 _WELL_TEXTURED = 0.6
 _NOISY = 0.01
-_ENOUGH_PLANES = 8
-_WIDEST_GAP = 2.5
+_MIN_PLANES = 8
+_MAX_GAP = 2.5
 
 
 @dataclasses.dataclass(frozen=True)
 class PlaneCheck:
-    """What a single picture is like."""
+    """Light, noise and texture of a single picture."""
 
     file: str
     depth_m: float  # NaN where it is not known
@@ -41,7 +41,7 @@ class PlaneCheck:
 
 @dataclasses.dataclass(frozen=True)
 class Advice:
-    """Something that could be better, and how; `file` is empty if it is about all pictures."""
+    """Possible improvement, and how; `file` is empty if it is about all pictures."""
 
     file: str
     text: str
@@ -53,9 +53,9 @@ class Advice:
 def check_pictures(
     images: Sequence[FloatArray], names: Sequence[str], window_px: int, depths_m: ArrayLike = np.nan
 ) -> list[PlaneCheck]:
-    """Measure every picture, with windows of a size that texture is counted in.
+    """Light, noise and texture of every picture, with windows of `window_px`.
 
-    Raises `InputError`, naming every picture that nothing can be learned from, and what to do.
+    Raises `InputError` with every picture that cannot be used, and what to do.
     """
     depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
     checks = [
@@ -66,7 +66,7 @@ def check_pictures(
         f"{check.file}: contrast {check.contrast:.2g} is not above the noise of {check.noise:.2g} "
         f"in {1 - check.textured:.0%} of the picture"
         for check in checks
-        if check.textured < _LEAST_TEXTURED
+        if check.textured < _MIN_TEXTURED
     ]
     if useless:
         raise InputError(
@@ -109,7 +109,7 @@ def _window_variances(grey: FloatArray, grid: PatchGrid) -> NDArray:
 
 
 def advice_on_pictures(checks: Sequence[PlaneCheck]) -> list[Advice]:
-    """Say what could be better about light, noise and texture."""
+    """Advice about light, noise and texture."""
     return [Advice(check.file, text) for check in checks for text in _advice_on(check)]
 
 
@@ -130,14 +130,14 @@ def _advice_on(check: PlaneCheck) -> Iterator[str]:
 def advice_on_depths(
     depths_m: DoubleArray, wanted_m: tuple[float, float] | None = None
 ) -> list[Advice]:
-    """Say at which depths planes are missing, for a bank of the `wanted_m` depth range."""
+    """Advice about depths where planes are missing, for a bank of the `wanted_m` depth range."""
     texts = []
-    if len(depths_m) < _ENOUGH_PLANES:
+    if len(depths_m) < _MIN_PLANES:
         texts.append(f"{len(depths_m)} planes are few: 10 to 16 give a much better bank")
     inverse = 1 / depths_m
     steps = -np.diff(inverse)
     usual = float(np.median(steps))
-    for i in np.flatnonzero(steps > _WIDEST_GAP * usual):
+    for i in np.flatnonzero(steps > _MAX_GAP * usual):
         between = 2 / (inverse[i] + inverse[i + 1])
         texts.append(
             f"wide gap from {depths_m[i]:.3g} to {depths_m[i + 1]:.3g} m: add one at "

@@ -1,4 +1,4 @@
-"""The thin lens that fits the measured blur of planes, and the planes that contradict it."""
+"""Thin lens that fits the measured blur of planes, and the planes that contradict it."""
 
 import dataclasses
 import itertools
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.calibration.planes.measure import LEAST_ERROR_PX, MeasuredPlane
+from coded_aperture_ros.calibration.planes.measure import MIN_ERROR_PX, MeasuredPlane
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.core.arrays import DoubleArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
@@ -24,9 +24,9 @@ _NO_LENS = ThinLens(1e-9, 0.0)
 
 
 def fitted_lens(depths_m: DoubleArray, sizes_px: DoubleArray, errors_px: DoubleArray) -> ThinLens:
-    """Fit the line through signed blur sizes; single ones that are far off count little.
+    """Thin lens of the line through signed blur sizes; outliers have little weight.
 
-    Weighted least squares, weighted anew by Huber's function.
+    Least squares, reweighted by Huber's function.
     """
     terms = np.stack([np.ones_like(depths_m), -1 / depths_m], axis=1)
     trust = np.ones_like(sizes_px)
@@ -34,15 +34,15 @@ def fitted_lens(depths_m: DoubleArray, sizes_px: DoubleArray, errors_px: DoubleA
         roots = np.sqrt(trust) / errors_px
         (offset, slope), *_ = np.linalg.lstsq(roots[:, None] * terms, roots * sizes_px, rcond=None)
         deviation = np.abs(sizes_px - terms @ [offset, slope])
-        usual = max(1.48 * float(np.median(deviation)), LEAST_ERROR_PX)
+        usual = max(1.48 * float(np.median(deviation)), MIN_ERROR_PX)
         trust = np.minimum(1, 1.5 * usual / np.maximum(deviation, 1e-9))
     return ThinLens(float(slope), float(offset / slope)) if slope else _NO_LENS
 
 
 def fit_signed_lens(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLens:
-    """Fit the thin lens: all planes beyond the focus, or all in front of it.
+    """Thin lens for planes that are all beyond the focus, or all in front of it.
 
-    Raises `InputError`, naming the files: planes on both sides of the focus, or depths that do not
+    Raises `InputError` with the files: planes on both sides of the focus, or depths that do not
     belong to their pictures.
     """
     depths = planes.depths_m
@@ -59,7 +59,7 @@ def fit_signed_lens(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLe
 
 
 def _line(depths: NDArray, sizes: NDArray, errors: NDArray) -> tuple[ThinLens, int]:
-    """Return the line with the fewest sizes off it, from those through pairs, and how many."""
+    """Line through a pair of sizes with the fewest outliers, and their number."""
     inverse = 1 / depths
     best: tuple[int, float, NDArray] | None = None
     for i, j in itertools.combinations(range(len(inverse)), 2):
@@ -88,7 +88,7 @@ def _outliers(fit: ThinLens, depths: NDArray, sizes: NDArray) -> IndexArray:
 
 
 def _refuse_both_sides(planes: Planes, sizes: NDArray, errors: NDArray, outliers: int) -> None:
-    """Name the planes in front of a focus between them, if that leaves fewer outliers."""
+    """Raise `InputError` with the planes in front of a focus between them, if it explains more."""
     depths = planes.depths_m
     found = None
     for front in range(1, len(depths)):
@@ -109,7 +109,7 @@ def _refuse_both_sides(planes: Planes, sizes: NDArray, errors: NDArray, outliers
 
 
 def _refuse_swapped(planes: Planes, sizes: NDArray, errors: NDArray) -> None:
-    """Name the two pictures with which everything suits, were they only exchanged."""
+    """Raise `InputError` with the two pictures that explain all others once exchanged."""
     depths = planes.depths_m
     names = planes.names
     for i, j in itertools.combinations(range(len(depths)), 2):
@@ -123,7 +123,7 @@ def _refuse_swapped(planes: Planes, sizes: NDArray, errors: NDArray) -> None:
 
 
 def _refuse_depths(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
-    """Name the pictures whose blur does not suit their depths."""
+    """Raise `InputError` with the pictures whose blur does not suit their depths."""
     depths = planes.depths_m
     names = planes.names
     signed = _side(fit, depths) * sizes
@@ -173,7 +173,7 @@ class LeaveOneOut:
 
 
 def leave_one_out(planes: Planes, measured: Sequence[MeasuredPlane], fit: ThinLens) -> LeaveOneOut:
-    """Estimate each plane's depth from its blur and the line through the other planes.
+    """Depth of each plane from its blur and the line through the other planes.
 
     The mask is that of all planes; focus and slope are the others' alone.
     """

@@ -28,22 +28,26 @@ def load_planes(
     depths_m: Sequence[float] | None = None,
     gamma: Gamma = 1.0,
 ) -> Planes:
-    """Read pictures of planes.
+    """Planes from pictures.
 
     Parameters
     ----------
     inputs : sequence of path-like
         One folder, or the pictures themselves.
     depths_m : sequence of float, optional
-        Depth of each picture, those of a folder in the order of their names. Without it the folder
-        has a list, see `load_folder`.
+        Depth of each picture, m, those of a folder sorted by name. Without it the folder has a
+        list, see `load_folder`.
     gamma : float or "srgb", optional
-        How 8-bit pictures are encoded.
+        Encoding of 8-bit pictures.
+
+    Returns
+    -------
+    Planes
 
     Raises
     ------
     InputError
-        Naming the file or the entry, and what to do; see also `Planes`.
+        With the file or the entry, and what to do; see also `Planes`.
     """
     paths = [Path(given) for given in inputs]
     folder = paths[0] if len(paths) == 1 and paths[0].is_dir() else None
@@ -64,10 +68,10 @@ def load_planes(
 
 
 def load_folder(folder: str | os.PathLike[str], gamma: Gamma = 1.0) -> Planes:
-    """Read the planes that a list in their folder tells: `planes.json`, or else `planes.csv`.
+    """Planes of a folder with a list: `planes.json`, or else `planes.csv`.
 
     The one is ``[{"file": "a.png", "depth_m": 1.5}, ...]``, in order of depth, the other has the
-    columns `file` and `depth_m`. Raises `InputError`, naming the file or the entry, and what to do;
+    columns `file` and `depth_m`. Raises `InputError` with the file or the entry, and what to do;
     see also `Planes`.
     """
     json_file = Path(folder) / PLANES_JSON
@@ -118,7 +122,7 @@ def _read_csv(path: Path) -> list[tuple[Path, float]]:
 
 
 def _entry(path: Path, where: str, entry: Any) -> tuple[Path, float]:
-    """Return file and depth of an entry of a list, or say what is wrong with it."""
+    """File and depth of an entry of a list; raises `InputError` if they cannot be used."""
     if not isinstance(entry, dict):
         raise InputError(f"{path}: {where}: expected file and depth_m, got {entry!r}")
     for key, kind in (("file", str), ("depth_m", float)):
@@ -130,7 +134,7 @@ def _entry(path: Path, where: str, entry: Any) -> tuple[Path, float]:
 
 
 def listed_depths_m(folder: str | os.PathLike[str]) -> list[float]:
-    """Return the depths that a folder has pictures of so far, nearest first."""
+    """Depths of the pictures in a folder, m, nearest first."""
     return sorted(float(entry["depth_m"]) for entry in _entries(Path(folder)))
 
 

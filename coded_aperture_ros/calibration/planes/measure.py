@@ -1,9 +1,4 @@
-"""The blur of every plane, measured by itself, without regard to its depth.
-
-The search for the mask takes for granted that the blur sizes lie on the line of a thin lens
-(thesis eq. 3.28). Measured without that, a wrong depth, planes on both sides of the focus and a
-tilted plane show.
-"""
+"""Blur sizes of planes, as a bank of the mask found measures them."""
 
 import dataclasses
 
@@ -24,7 +19,7 @@ _SIZES = 48
 _BEYOND = 1.2
 _SMALLEST_PX = 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
-LEAST_ERROR_PX = 0.1
+MIN_ERROR_PX = 0.1
 _ITERATIONS = 20
 # A tilt is told if it is this sure, and so large.
 _SURE = 4.0
@@ -110,7 +105,7 @@ def _measured(size_px: float, sizes_px: NDArray) -> MeasuredPlane:
     return MeasuredPlane(
         size_px=size_px,
         sizes_px=sizes_px.astype(np.float32),
-        error_px=max(scatter, LEAST_ERROR_PX),
+        error_px=max(scatter, MIN_ERROR_PX),
         tilt_px=(float(found[1]), float(found[2])),
-        tilt_error_px=max(scatter, LEAST_ERROR_PX / 2) / max(min(spread), 0.1),
+        tilt_error_px=max(scatter, MIN_ERROR_PX / 2) / max(min(spread), 0.1),
     )

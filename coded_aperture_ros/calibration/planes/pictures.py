@@ -1,4 +1,4 @@
-"""Pictures of textured planes at known depths: what a bank can be learned from without a mask."""
+"""Pictures of textured planes at known depths."""
 
 import dataclasses
 import itertools
@@ -8,17 +8,20 @@ import numpy as np
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
-_FEWEST = 4
+_MIN_PLANES = 4
 _SATURATED = 0.995
-_MOST_SATURATED = 0.01
+_MAX_SATURATED_SHARE = 0.01
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Planes:
     """Pictures of textured planes parallel to the sensor, one for each depth.
 
-    Raises `InputError` if there are fewer than four planes, sizes differ, a depth is not positive,
-    not the only one of its value or out of order, or a picture is saturated or not finite.
+    Raises
+    ------
+    InputError
+        If there are fewer than four planes, sizes differ, a depth is not positive, not the only one
+        of its value or out of order, or a picture is saturated or not finite.
     """
 
     # [rows, columns] or [rows, columns, 3]; linear light in [0, 1], all of one size.
@@ -32,10 +35,10 @@ class Planes:
         depths = np.asarray(self.depths_m, np.float64)
         if not len(self.images) == len(depths) == len(self.names):
             raise InputError("planes: expected one depth and one name for each picture")
-        if len(depths) < _FEWEST:
+        if len(depths) < _MIN_PLANES:
             raise InputError(
                 f"{len(depths)} planes are too few to tell the mask from the textures: "
-                f"take at least {_FEWEST}, better 10 or more, at different depths"
+                f"take at least {_MIN_PLANES}, better 10 or more, at different depths"
             )
         for image, depth, name in zip(self.images, depths, self.names, strict=True):
             if not 0 < depth < np.inf:
@@ -64,9 +67,9 @@ class Planes:
 
 
 def check_picture(image: FloatArray, name: str, shape: tuple[int, ...], first: str) -> None:
-    """Refuse the picture of a plane that nothing can be learned from.
+    """Raise `InputError` for a picture of another `shape`, not finite, or saturated.
 
-    That is one of another `shape` than the `first`, not finite, or saturated.
+    Messages call the picture `name`, and the one with that shape `first`.
     """
     if image.shape[:2] != shape:
         raise InputError(
@@ -76,7 +79,7 @@ def check_picture(image: FloatArray, name: str, shape: tuple[int, ...], first: s
     if not np.isfinite(image).all():
         raise InputError(f"{name}: has pixels that are NaN or infinite")
     saturated = float(np.mean(image >= _SATURATED))
-    if saturated > _MOST_SATURATED:
+    if saturated > _MAX_SATURATED_SHARE:
         raise InputError(
             f"{name}: {saturated:.0%} of the pixels are saturated: expose it for a shorter time"
         )

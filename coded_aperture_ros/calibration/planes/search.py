@@ -1,4 +1,4 @@
-"""The search for the mask and the focus that explain pictures of planes, coarse to fine."""
+"""Search for the mask and the focus that explain pictures of planes, coarse to fine."""
 
 import dataclasses
 import logging
@@ -18,7 +18,7 @@ from coded_aperture_ros.optics import Mask
 
 # Masks are sought up to this part of the window: a wider blur leaves too few independent
 # frequencies in it.
-_WIDEST = 0.5
+_MAX_EXTENT_SHARE = 0.5
 _COARSE_CELL_PX = 2.0
 _FINE_CELL_PX = 1.0
 _COARSE_PARTS = 2
@@ -28,7 +28,7 @@ _COARSE_STEPS = 18
 _FINE_STEPS = 100
 _FINE_ROUNDS = 3
 # Of the first guesses so many are worth more than the first steps.
-_PROMISING = 3
+_N_REFINED = 3
 _NEAREST_TO_FOCUS = (0.03, 0.15, 0.35, 0.6)
 # The best of the masks from phase retrieval are worth some steps each.
 _CANDIDATES = 4
@@ -40,7 +40,7 @@ LensFit = MaskFit[LensSizes]
 
 
 class MaskSearch:
-    """Finds masks for pictures of planes.
+    """Search for masks that explain pictures of planes.
 
     The window has to be twice as wide as the largest blur, or wider. `progress` wraps the
     iterations over the steps.
@@ -50,14 +50,14 @@ class MaskSearch:
         fourier = WindowedFourierBasis(window_px)
         self.inverse_depths = 1 / planes.depths_m
         powers = [window_powers(image, fourier) for image in planes.images]
-        self.likelihood = MaskLikelihood(powers, fourier, _WIDEST * window_px)
+        self.likelihood = MaskLikelihood(powers, fourier, _MAX_EXTENT_SHARE * window_px)
         self.progress = progress
 
     def mixture(self) -> LensFit:
-        """Find the mask (as a mixture) and the focus under which the planes are likeliest.
+        """Likeliest mask, as a mixture, and focus.
 
-        Coarse masks first, from several focus distances on both sides of the planes; the
-        likelier ones go on, and the likeliest is refined.
+        Coarse masks first, from several focus distances on both sides of the planes; the likelier
+        ones go on, and the likeliest is refined.
         """
         starts = [(sign, ratio) for sign in (1, -1) for ratio in _NEAREST_TO_FOCUS]
         coarse: list[LensFit] = []
@@ -75,12 +75,12 @@ class MaskSearch:
         return self._most_promising(coarse) if best is None else best
 
     def _most_promising(self, coarse: list[LensFit]) -> LensFit:
-        coarse = sorted(coarse, key=lambda fit: fit.score)[:_PROMISING]
+        coarse = sorted(coarse, key=lambda fit: fit.score)[:_N_REFINED]
         further = [fit.optimise(self.likelihood, _COARSE_STEPS) for fit in coarse]
         return min(further, key=lambda fit: fit.score)
 
     def start(self, parts: int, cell_px: float, sign: int, near_ratio: float) -> LensFit:
-        """Return a first guess: random masks."""
+        """First estimate: random masks."""
         extent_px = self.likelihood.widest_px
         return MaskFit(
             random_parts(parts, round(extent_px / cell_px)),
@@ -89,10 +89,10 @@ class MaskSearch:
         )
 
     def single(self, mixture: LensFit) -> tuple[Mask, float]:
-        """Find one mask instead of a mixture: the likeliest of several that come close to it.
+        """Likeliest single mask near a mixture, and its extent at the most blurred plane, px.
 
-        Returns the mask, cropped to where it is open, and its extent at the most blurred plane in
-        px. Logs a warning if it fills the grid: then the blur may be wider than that.
+        The mask is cropped to where it is open. Logs a warning if it fills the grid: then the blur
+        may be wider than that.
         """
         candidates = [
             dataclasses.replace(mixture, parts=normalised(mask[None])).optimise(
@@ -106,14 +106,14 @@ class MaskSearch:
             _logger.warning(
                 "the blur reaches %.0f px, half the window of %.0f px, or more: depths are more "
                 "trustworthy with a larger window_px",
-                *(mixture.sizes.extent_px, mixture.sizes.extent_px / _WIDEST),
+                *(mixture.sizes.extent_px, mixture.sizes.extent_px / _MAX_EXTENT_SHARE),
             )
         extent_px = mixture.sizes.extent_px * len(opening) / cells
         return Mask("learned from planes", opening / opening.max()), extent_px
 
 
 def learned_pattern(fit: LensFit, mask: Mask, extent_px: float, image_width: int) -> LearnedPattern:
-    """Return a mask, of an extent at the most blurred plane, with the lens of a fit."""
+    """Mask, of an extent at the most blurred plane, with the lens of a fit."""
     scale = extent_px / fit.sizes.extent_px
     lens = fit.sizes.lens
     return LearnedPattern(
@@ -127,7 +127,7 @@ def learned_pattern(fit: LensFit, mask: Mask, extent_px: float, image_width: int
 
 
 def _cropped(mask: NDArray) -> NDArray:
-    """Crop to the square around the rows and columns with more than a fifth of the brightest."""
+    """Square around the rows and columns with more than a fifth of the brightest."""
     profiles = mask.sum(axis=1), mask.sum(axis=0)
     rows, columns = (np.flatnonzero(each > 0.2 * each.max()) for each in profiles)
     inside = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]

@@ -1,4 +1,4 @@
-"""How the PSF of a lens changes over the image, from planes at known depths."""
+"""Wavefront of a lens, the change of its PSF over the image, from planes at known depths."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -16,12 +16,12 @@ from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS, field_tangent
 
 _STRIDE_PX = 24
 # More planes are slower and tell little more.
-_MOST_PLANES = 5
-# What a lens is taken for before: rims that cut off a little on either side of the corner. Not
-# alike: power spectra do not tell a PSF from itself turned round, so that nothing would change it.
+_MAX_PLANES = 5
+# Prior of the lens: rims that cut off a little on either side of the corner. Not symmetric: power
+# spectra do not tell a PSF from itself turned by 180 degrees, and would give no gradient.
 _RIMS = (1.1, 0.4, 1.1, -0.2)
-# What is fitted: mask extent, rims, terms. Steps that derivatives are made of, and how far each is
-# from where it began where nothing tells.
+# Parameters of the fit: mask extent, rims, terms. Steps of their finite differences, and standard
+# deviations of their prior.
 _STEPS = np.array([0.002, *[0.01] * 4, *[0.005] * len(TERMS)])
 _SPREAD = np.array([1.0, *[0.15, 0.3] * 2, *[0.07] * len(TERMS)])
 _ASTIGMATISM = 0.15 * np.eye(5 + len(TERMS))[5 + TERM_NAMES.index("W222")]
@@ -33,7 +33,7 @@ _WIDER_PX = 6
 def fit_wavefront(
     camera: Camera, planes: Planes, used: Sequence[int], progress: Progress
 ) -> Camera:
-    """Fit a wavefront and the mask's extent to some of the planes; return the camera with them.
+    """Camera with a wavefront and a mask extent fitted to some of the planes.
 
     Its field curvature becomes that of the wavefront. By Fisher scoring of the likelihood of the
     windows' power spectra, for textures as those of a bank.
@@ -57,18 +57,18 @@ def fit_wavefront(
         return np.arange(9 if number < _FIRST_ROUNDS else len(first))
 
     state, _ = scoring.fit(first, windows, _SPREAD, active, _ROUNDS, progress, begin)
-    return lens.camera_of(state)
+    return lens.camera_for(state)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Lens:
-    """A lens with a state."""
+    """Lens with a state of the fit."""
 
     camera: Camera
     corner: float
 
-    def camera_of(self, state: DoubleArray) -> Camera:
-        """Return the camera with the lens of a state."""
+    def camera_for(self, state: DoubleArray) -> Camera:
+        """Camera with the lens of a state."""
         wavefront = self._wavefront(state)
         camera = self.camera
         return dataclasses.replace(
@@ -79,7 +79,7 @@ class _Lens:
         )
 
     def psf(self, state: DoubleArray, windows: Windows) -> FloatArray:
-        """Return the PSF of some windows."""
+        """PSF of some windows."""
         return self._wavefront(state).psf(
             self.camera.mask,
             windows.blur_size_px * state[0],
@@ -94,10 +94,10 @@ class _Lens:
 
 
 def _windows(camera: Camera, planes: Planes, used: Sequence[int]) -> Iterator[Windows]:
-    """Yield the windows of some planes and all parts of the image."""
+    """Windows of some planes and all parts of the image."""
     parts = field_tangents(camera.intrinsics, ROWS, COLUMNS)
     k = camera.intrinsics.camera_matrix
-    chosen = np.unique(np.linspace(0, len(used) - 1, _MOST_PLANES).round().astype(int))
+    chosen = np.unique(np.linspace(0, len(used) - 1, _MAX_PLANES).round().astype(int))
     for index in np.array(used)[chosen]:
         grey, _ = grey_image(planes.images[index], 1.0)
         powers, noise, middles = window_spectra(grey, _STRIDE_PX)

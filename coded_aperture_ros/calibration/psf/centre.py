@@ -1,7 +1,7 @@
-"""Where the middle of a measured PSF is, and how wide the mask's extent is in the picture.
+"""Middle and width of the mask's extent in a measured PSF.
 
 Dots tell a PSF up to a shift. In a PSF stack, the middle of the mask's extent is the centre. With a
-known mask, its rendered PSF is laid over the measured one. Without, the centre of light has to do:
+known mask, its rendered PSF is laid over the measured one. Without, the centroid of light is used:
 the same for a mask that looks the same turned by 180 degrees; for another one, all-in-focus frames
 are shifted in proportion to the blur, and depth is not affected.
 """
@@ -35,7 +35,7 @@ _TURNED = 0.95
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class CentredPsf:
-    """A measured PSF whose middle and width are known."""
+    """Measured PSF with known middle and width."""
 
     fine: FinePsf
     # [2]; where its origin has to be (down, right), in px, so that the mask's extent is centred.
@@ -47,17 +47,16 @@ class CentredPsf:
     misfit: float  # relative difference (norm) from the mask's rendered PSF; NaN without a mask
 
     def psf(self, width: int, scale: float = 1.0) -> DoubleArray:
-        """Return the PSF as pixels record it [width, width], `scale` times as wide as measured."""
+        """PSF as pixels record it [width, width], `scale` times as wide as measured."""
         return finished(self.fine.at(width, self.place * scale, scale))
 
 
 def centred(
     at: PsfAt, mask: Mask | None = None, sign: float | None = None
 ) -> tuple[DoubleArray, float, float]:
-    """Find the middle and the blur size of a measured PSF, given by what it is `at` a place.
+    """Middle, blur size and misfit of a measured PSF; `at` returns the PSF at a position.
 
-    Returns the place, the blur size and the misfit; see `CentredPsf`, and `DotPsf.centred` for the
-    other arguments.
+    See `CentredPsf`, and `DotPsf.centred` for the other arguments.
     """
     place = np.zeros(2)
     size = 0.0
@@ -71,7 +70,7 @@ def centred(
         if mask is None:
             size = max(float(np.sqrt(12)) * spread, 1.0)
         else:
-            misfit, size, move = _like(psfs, move, spread, mask, sign)
+            misfit, size, move = _best_mask_fit(psfs, move, spread, mask, sign)
             sign = size  # the side of the focus that was found first stays
         place = place - move
         if np.abs(move).max() < _CLOSE_PX:
@@ -84,10 +83,10 @@ def centred(
     return place, size, misfit
 
 
-def _like(
+def _best_mask_fit(
     psfs: NDArray, centroid: NDArray, spread: float, mask: Mask, sign: float | None
 ) -> tuple[float, float, NDArray]:
-    """Return how different a PSF is from the mask's, at least, for which blur size and middle."""
+    """Misfit, blur size and middle of the mask's PSF that is most like the measured one."""
     width = psfs.shape[1]
     flat = psfs.ravel()
     aside, mask_spread = _moments(render_psf(mask, _LARGE_PX).astype(np.float64))
@@ -111,7 +110,7 @@ def _like(
 
 
 def _moments(psf: NDArray) -> tuple[NDArray, float]:
-    """Return the centre of light from the middle, and the spread about it without the pixel's."""
+    """Centroid of light from the middle, and the spread about it without the pixel's."""
     centre = centroids(psf) / psf.sum()
     steps = centred_steps(len(psf))
     shares = [psf.sum(axis=axis) / psf.sum() for axis in (1, 0)]
@@ -120,10 +119,10 @@ def _moments(psf: NDArray) -> tuple[NDArray, float]:
 
 
 def finished(psf: DoubleArray) -> DoubleArray:
-    """Return the nearest PSF that is nowhere negative and has the sum 1.
+    """Nearest PSF that is nowhere negative and has unit sum.
 
     Setting negative values to 0 alone would leave the positive half of the noise, and too large a
-    sum: here all values are lowered by as much as the sum asks for, none below 0.
+    sum: here all values are lowered by what the sum requires, none below 0.
     """
     values = np.sort(psf.ravel())[::-1]
     lowered = (np.cumsum(values) - 1) / np.arange(1, values.size + 1)

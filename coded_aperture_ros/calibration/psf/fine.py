@@ -1,8 +1,9 @@
-"""A PSF on cells finer than the pixels: what dots tell together that lie differently on the pixels.
+"""PSF on cells finer than the pixels, from dots at different positions on the pixels.
 
 A dot a third of a pixel off shows the same PSF, cut into pixels elsewhere. Light on a fine grid,
-moved and integrated over pixels, has to give all dots at once: least squares, in which no light is
-negative. Without that, a grid that is wrong by a bit on each pixel would give as good a PSF.
+moved and integrated over pixels, has to give all dots at once: least squares with non-negative
+light. Without that constraint, a grid that is wrong by a bit on each pixel would give as good a
+PSF.
 """
 
 import dataclasses
@@ -16,7 +17,7 @@ from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.optics.psf import cell_shares
 
 _ITERATIONS = 60
-_FAINT = 0.04
+_MIN_LIGHT_SHARE = 0.04
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,7 +28,7 @@ class FinePsf:
     cell_px: float  # width of a cell in px
 
     def at(self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0) -> DoubleArray:
-        """Return what pixels record [width, width] if the origin lies `centre` off their middle.
+        """Light of the pixels [width, width] with the origin at `centre` from their middle.
 
         `centre` is down and right in px, `width` odd; the PSF is `scale` times as wide as measured.
         """
@@ -38,7 +39,7 @@ class FinePsf:
 
 
 def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
-    """Return the PSF of a mask whose extent is so wide: its cells, turned if that is negative."""
+    """PSF of a mask of a blur size: its cells, turned by 180 degrees if that is negative."""
     cells = square_cells(mask)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
@@ -48,12 +49,12 @@ def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
 def fit_fine(
     windows: DoubleArray, offsets: DoubleArray, strengths: DoubleArray, ridge: float, start: FinePsf
 ) -> FinePsf:
-    """Fit light on fine cells to pictures of dots, by projected gradients (FISTA with restarts).
+    """Light on fine cells fitted to pictures of dots, by projected gradients (FISTA with restarts).
 
-    `windows`, float64 [N, k, k], are the pictures without background, `offsets` [N, 2] where the
-    dots lie, from the middle of the windows in px, and `strengths` [N] the light of each. `ridge`
-    is the variance of a pixel's noise, for light whose cells have the mean square of `start`, which
-    also tells the cells.
+    `windows`, float64 [N, k, k], are the pictures without background, `offsets` [N, 2] the
+    positions of the dots from the middle of the windows in px, and `strengths` [N] the light of
+    each. `ridge` is the variance of a pixel's noise, for light whose cells have the mean square of
+    `start`, which also defines the cells.
     """
     width = windows.shape[-1]
     cells = len(start.light)
@@ -88,7 +89,7 @@ def fit_fine(
 
 
 def centroids(pictures: NDArray[np.floating]) -> DoubleArray:
-    """Return the first moments of light (down, right) about the middle [..., 2], not divided.
+    """First moments of light (down, right) about the middle [..., 2], not divided by the light.
 
     Pictures are [..., k, k], with odd k.
     """
@@ -97,21 +98,23 @@ def centroids(pictures: NDArray[np.floating]) -> DoubleArray:
 
 
 def centred_steps(width: int) -> IndexArray:
-    """Return each pixel's distance from the middle one along a side [width]."""
+    """Signed distance of each pixel from the middle one along a side [width]."""
     return np.arange(width) - width // 2
 
 
 def border_mask(width: int) -> BoolArray:
-    """Return which pixels are on the rim [width, width]."""
-    return rings_of(width) == width // 2
+    """Mask of the outermost pixels [width, width]."""
+    return ring_numbers(width) == width // 2
 
 
-def rings_of(width: int) -> IndexArray:
-    """Return the number of the square ring around the middle that each pixel is on."""
+def ring_numbers(width: int) -> IndexArray:
+    """Number of the square ring around the middle that each pixel is on [width, width]."""
     steps = np.abs(centred_steps(width))
     return np.maximum(steps[:, None], steps)
 
 
 def light_extent(light: NDArray[np.floating]) -> int:
-    """Return the width in px of what is not faint, about the middle of a picture."""
-    return 2 * int(rings_of(len(light))[light > _FAINT * light.max()].max(initial=0)) + 1
+    """Width in px of what is not faint, about the middle of a picture."""
+    return (
+        2 * int(ring_numbers(len(light))[light > _MIN_LIGHT_SHARE * light.max()].max(initial=0)) + 1
+    )

@@ -1,4 +1,4 @@
-"""Where the dots of a grid are in a picture, however wide they are blurred.
+"""Positions of the dots of a grid in a picture, however wide they are blurred.
 
 A dot seen through a mask is several spots, so spots are not looked for. The grid repeats: the
 autocorrelation of the picture is highest at the grid's own steps. Smoothed over a third of a step,
@@ -102,7 +102,7 @@ def _basis(light: NDArray) -> NDArray:
 
 
 def _hills(light: NDArray, basis: NDArray) -> NDArray:
-    """Return row and column of every hill of a picture smoothed over a part of a step [N, 2]."""
+    """Row and column of every hill of a picture smoothed over a part of a step [N, 2]."""
     step = float(np.linalg.norm(basis[0]))
     smooth = ndimage.gaussian_filter(light, _SMOOTHING * step)
     tops = ndimage.maximum_filter(smooth, max(3, round(0.6 * step))) == smooth
@@ -115,7 +115,7 @@ def _hills(light: NDArray, basis: NDArray) -> NDArray:
 
 
 def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Count the steps [N, 2] from neighbour to neighbour, and number the hills [N] reached so."""
+    """Steps [N, 2] from neighbour to neighbour, and the indices of the hills [N] reached so."""
     best: dict[int, tuple[int, int]] = {}
     near_px = _TOLERANCE * np.linalg.norm(basis[0])
     # The hill in the middle may be a speck of dust: start from another one then.
@@ -138,7 +138,7 @@ def _steps(hills: NDArray, basis: NDArray) -> tuple[NDArray[np.int64], NDArray[n
 
 
 def _smooth(steps: NDArray[np.int64], hills: NDArray, step_px: float) -> tuple[NDArray, BoolArray]:
-    """Return where a polynomial grid has each hill [N, 2], and which hills lie near that."""
+    """Position of each hill on a polynomial grid [N, 2], and which hills lie near that."""
     kept = np.ones(len(steps), bool)
     i, j = steps.T / max(1, np.abs(steps).max())
     places = hills
@@ -153,7 +153,7 @@ def _smooth(steps: NDArray[np.int64], hills: NDArray, step_px: float) -> tuple[N
 
 
 def _missing(steps: NDArray[np.int64], places: NDArray, shape: tuple[int, ...]) -> int:
-    """Count the places of the grid, well within the picture, where no dot is."""
+    """Number of positions of the grid, well within the picture, without a dot."""
     terms = np.column_stack([steps, np.ones(len(steps))])
     affine = np.linalg.lstsq(terms, places, rcond=None)[0]
     first = steps.min(axis=0)

@@ -1,4 +1,4 @@
-"""From PSFs measured at some depths to a stack of equally spaced blur sizes."""
+"""Stack of equally spaced blur sizes from PSFs measured at some depths."""
 
 from collections.abc import Sequence
 
@@ -10,7 +10,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
 # PSFs whose blur sizes differ less are one: a level between them is not told apart.
-_CLOSEST_PX = 0.02
+_MIN_DISTANCE_PX = 0.02
 
 
 def psf_stack(
@@ -19,26 +19,39 @@ def psf_stack(
     depths_m: ArrayLike | None = None,
     names: Sequence[str] | None = None,
 ) -> PsfStack:
-    """Interpolate measured PSFs, in any order, to equally spaced blur sizes.
+    """Stack of measured PSFs, in any order, interpolated to equally spaced blur sizes.
 
-    A PSF between two measured ones is both, widened or narrowed to its size, each weighted by how
-    near its size is. By default there are as many levels as PSFs. With depths in m [N] the stack
-    knows its own: between two, the inverse depth is linear in blur size. Messages call each PSF by
-    `names`. Raises `InputError` if two PSFs have one blur size, they lie on both sides of the
-    focus, or depths and blur sizes do not go up or down together.
+    A PSF between two measured ones is the mean of both, scaled to its size, each weighted by how
+    near its size is.
+
+    Parameters
+    ----------
+    measured : sequence of CentredPsf
+    level_count : int, optional
+        By default as many levels as PSFs.
+    depths_m : array_like [N], optional
+        Depth of each PSF, m. Between two, the inverse depth is linear in blur size.
+    names : sequence of str, optional
+        Names of the PSFs for messages.
+
+    Raises
+    ------
+    InputError
+        If two PSFs have one blur size, they lie on both sides of the focus, or depths and blur
+        sizes do not go up or down together.
     """
     order = np.argsort([one.blur_size_px for one in measured])
     ranked = [measured[number] for number in order]
-    called = [f"PSF {number}" if names is None else names[number] for number in order]
+    labels = [f"PSF {number}" if names is None else names[number] for number in order]
     sizes = np.array([one.blur_size_px for one in ranked])
     if sizes[0] < 0 < sizes[-1]:
         raise InputError(
-            f"{called[0]} has a blur size of {sizes[0]:.2f} px, {called[-1]} one of "
+            f"{labels[0]} has a blur size of {sizes[0]:.2f} px, {labels[-1]} one of "
             f"{sizes[-1]:.2f} px: they are from both sides of the focus, measure each side alone"
         )
-    for number in np.flatnonzero(np.diff(sizes) < _CLOSEST_PX):
+    for number in np.flatnonzero(np.diff(sizes) < _MIN_DISTANCE_PX):
         raise InputError(
-            f"{called[number]} and {called[number + 1]} have the same blur size of "
+            f"{labels[number]} and {labels[number + 1]} have the same blur size of "
             f"{sizes[number]:.2f} px: take one picture for each depth"
         )
     inverse = None
@@ -47,8 +60,8 @@ def psf_stack(
         slopes = np.diff(inverse)
         for number in np.flatnonzero(slopes * np.sum(slopes) <= 0):
             raise InputError(
-                f"{called[number]} at {1 / inverse[number]:g} m has a blur size of "
-                f"{sizes[number]:.2f} px, {called[number + 1]} at {1 / inverse[number + 1]:g} m "
+                f"{labels[number]} at {1 / inverse[number]:g} m has a blur size of "
+                f"{sizes[number]:.2f} px, {labels[number + 1]} at {1 / inverse[number + 1]:g} m "
                 f"one of {sizes[number + 1]:.2f} px, unlike the others: check the depths, and that "
                 "all lie on one side of the focus"
             )
