@@ -40,7 +40,7 @@ class Picture:
     pixels: NDArray
     encoding: str
     mosaic: str = ""
-    lost: float = 0.0
+    compression_loss: float = 0.0
 
     @property
     def stamp_ns(self) -> int:
@@ -59,7 +59,7 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
         return Picture(message.header, array_from_image(message), encoding, mosaic)
     pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
     lost = lost_by_compression(bytes(message.data))
-    return Picture(message.header, pixels, encoding, lost=lost)
+    return Picture(message.header, pixels, encoding, compression_loss=lost)
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:

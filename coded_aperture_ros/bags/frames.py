@@ -163,7 +163,9 @@ class FrameProcessor:
             )
         pixel_format = PixelFormat(self.gamma, self.bits, picture.mosaic)
         colour = self.pipeline.deblurs
-        frame = pixel_format.frame(picture.pixels, picture.lost, colour=colour, motion=self.prior)
+        frame = pixel_format.frame(
+            picture.pixels, picture.compression_loss, colour=colour, motion=self.prior
+        )
         return picture, frame
 
 

@@ -46,6 +46,10 @@ class SensorNoise:
         Whether light varies enough over the frames; if not, `noise` is that at their brightness.
     fit_error : float
         Median relative distance of the variances from the line.
+
+    Examples
+    --------
+    See `noise_from_frames`.
     """
 
     noise: float

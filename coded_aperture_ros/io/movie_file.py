@@ -15,7 +15,7 @@ _RATE_HZ = 10.0
 
 @contextmanager
 def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
-    """Yield what takes the pictures, uint8 [h, w, RGB], all of one size, at 10 a second.
+    """Function that adds pictures, uint8 [h, w, RGB], of one size, to a video of 10 Hz.
 
     The file appears when all are there. Raises `InputError` if it cannot be written, a picture has
     another size, or there is none.

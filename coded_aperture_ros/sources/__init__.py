@@ -1,4 +1,4 @@
-"""Where frames come from: files, bags, cameras, the simulator. No ROS in here."""
+"""Sources of frames: files, bags, cameras, the simulator. No ROS in here."""
 
 from coded_aperture_ros.sources.bag import BagSource
 from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource

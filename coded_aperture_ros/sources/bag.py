@@ -54,5 +54,5 @@ class BagSource(FileSource[tuple[int, Recorded]]):
             stamp_ns=picture.stamp_ns or message.time_ns,
             name=f"{self._path.stem}_{index:06d}",
             mosaic=picture.mosaic,
-            lost=picture.lost,
+            compression_loss=picture.compression_loss,
         )

@@ -1,4 +1,4 @@
-"""Frames of pictures, videos and other files, once or over and over."""
+"""Frames of pictures, videos and other files, once or in a loop."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator
@@ -16,17 +16,22 @@ VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpe
 
 # Codes of codecs that lose nothing, and what the others lose at usual rates.
 _LOSSLESS = (b"FFV1", b"HFYU", b"FFVH", b"LAGS", b"\0\0\0\0", b"DIB ", b"RAW ", b"I420", b"PNG ")
-_LOST_BY_VIDEO = 0.009
+_VIDEO_LOSS = 0.009
 
 Stored = TypeVar("Stored")
 
 
 class FileSource(ABC, Generic[Stored]):
-    """Frames that files have in a row; with `loop` they begin again after the last one.
+    """Frames of files, one after the other; with `loop` they begin again after the last one.
 
-    After an `InputError`, for a frame that cannot be used, the next `read` goes on behind it.
-    `length` is the number of frames, if it is known; `damage` what is wrong with the files, in
-    words; empty if nothing is, or nothing was met yet.
+    After an `InputError`, for a frame that cannot be used, the next `read` continues behind it.
+
+    Attributes
+    ----------
+    length : int or None
+        Number of frames, if it is known.
+    damage : str
+        Description of a fault of the files; empty if there is none, or none was met yet.
     """
 
     live = False
@@ -39,7 +44,7 @@ class FileSource(ABC, Generic[Stored]):
         self._row: Generator[Stored, None, None] | None = None
 
     def read(self) -> Capture | None:
-        """Return the next frame, None after the last."""
+        """Next frame, None after the last."""
         stored = self._next()
         if stored is None and self._loop:
             self._row = None
@@ -59,15 +64,15 @@ class FileSource(ABC, Generic[Stored]):
 
     @abstractmethod
     def _stored(self) -> Generator[Stored, None, None]:
-        """Yield the frames as the files have them."""
+        """Frames as the files have them."""
 
     @abstractmethod
     def _capture(self, stored: Stored) -> Capture:
-        """Return a frame; an `InputError` if it cannot be used."""
+        """Frame; raises `InputError` if it cannot be used."""
 
 
 class PictureSource(FileSource[Path]):
-    """A picture, or several one after the other."""
+    """Frames of one or more pictures."""
 
     def __init__(self, files: tuple[Path, ...], loop: bool = False) -> None:
         super().__init__(files, len(files), loop)
@@ -76,12 +81,12 @@ class PictureSource(FileSource[Path]):
         yield from self.files
 
     def _capture(self, stored: Path) -> Capture:
-        pixels, lost = read_compressed(stored)
-        return Capture(pixels, lost=lost, name=stored.stem)
+        pixels, loss = read_compressed(stored)
+        return Capture(pixels, compression_loss=loss, name=stored.stem)
 
 
 class VideoSource(FileSource[Capture]):
-    """A video; an `InputError` if it is none, or there is no decoder for it."""
+    """Frames of a video; raises `InputError` if it is none, or there is no decoder for it."""
 
     def __init__(self, path: Path, loop: bool = False) -> None:
         video = _open_video(path)
@@ -94,10 +99,10 @@ class VideoSource(FileSource[Capture]):
         video = _open_video(path)
         index = 0
         code = int(video.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little")
-        lost = 0.0 if code.upper() in _LOSSLESS else _LOST_BY_VIDEO
+        loss = 0.0 if code.upper() in _LOSSLESS else _VIDEO_LOSS
         try:
             while (frame := _frame(video)) is not None:
-                yield Capture(frame, lost=lost, name=f"{path.stem}_{index:06d}")
+                yield Capture(frame, compression_loss=loss, name=f"{path.stem}_{index:06d}")
                 index += 1
         finally:
             video.release()

@@ -84,6 +84,20 @@ def open_source(
     ------
     InputError
         If files are missing or unreadable. A device may be missing: it is opened by `read`.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.io import write_image
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_image(pathlib.Path(folder, "a.png"), np.zeros((48, 64)))
+    ...     source = open_source(folder, camera, rate_hz=30.0, loop=False)
+    ...     source.read().frame.shape
+    (48, 64)
     """
     if text == SIMULATOR:
         return SimulatorSource(camera, rate_hz, noise)

@@ -1,4 +1,4 @@
-"""What a source of frames is."""
+"""Interface of a source of frames."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -14,32 +14,41 @@ from coded_aperture_ros.frames import Frame, PixelFormat
 
 @dataclass(frozen=True)
 class Capture:
-    """One frame, and what is known about it.
+    """Frame as a source reads it, with what the source knows about it.
 
-    Attributes
+    Parameters
     ----------
-    frame : uint8, uint16 or float32, [row, column] or [row, column, RGB]
-        Integers as the sensor counts them, or as a file stores them: undoing a gamma is left to
-        whoever uses the frame. Floats in linear light [0, 1].
-    depth_m : float32, [row, column], optional
-        True depth, NaN where unknown; of a simulator.
-    sharp : float32, [row, column] or [row, column, RGB], optional
+    frame : ndarray of uint8, uint16 or float32, [row, column] or [row, column, RGB]
+        Integers as the sensor counts them, or as a file stores them, with its gamma. Floats in
+        linear light [0, 1].
+    depth_m : ndarray of float32 [row, column], optional
+        Ground truth, m, NaN where unknown; of a simulator.
+    sharp : ndarray of float32 [row, column] or [row, column, RGB], optional
         The same view all in focus and without noise; of a simulator.
     stamp_ns : int, optional
-        When it was taken, if that is known: nanoseconds of the clock of whoever took it.
-    lost : float
-        About how much noise lossy compression has hidden in it, in stored values from 0 to 1.
-    name : str
-        What to call it, and files made of it; empty where no file has it.
-    mosaic : str
-        Of the colour filters of a grey frame's pixels; see `grey_from_mosaic`.
+        Time of the capture, ns of the source's clock; None if unknown.
+    compression_loss : float, optional
+        Standard deviation of the noise that lossy compression has hidden, in stored values from 0
+        to 1.
+    name : str, optional
+        Name for messages and output files; empty if no file has it.
+    mosaic : str, optional
+        Mosaic of colour filters of a grey frame's pixels; see `grey_from_mosaic`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.frames import PixelFormat
+    >>> capture = Capture(np.full((48, 64), 128, np.uint8), name="a")
+    >>> capture.decode(PixelFormat()).shape
+    (48, 64)
     """
 
     frame: NDArray
     depth_m: FloatArray | None = None
     sharp: FloatArray | None = None
     stamp_ns: int | None = None
-    lost: float = 0.0
+    compression_loss: float = 0.0
     name: str = ""
     mosaic: str = ""
 
@@ -52,33 +61,39 @@ class Capture:
             If the pixels cannot be what the format says.
         """
         pixel_format = replace(pixel_format, mosaic=self.mosaic or pixel_format.mosaic)
-        return pixel_format.frame(self.frame, self.lost, colour=colour, stamp_ns=self.stamp_ns)
+        return pixel_format.frame(
+            self.frame, self.compression_loss, colour=colour, stamp_ns=self.stamp_ns
+        )
 
 
 class Source(Protocol):
-    """Where frames come from.
+    """Source of frames.
 
     Attributes
     ----------
     live : bool
         Frames come at the source's own rate and go stale if they are not taken.
+
+    Examples
+    --------
+    See `open_source`.
     """
 
     live: bool
 
     def read(self) -> Capture | None:
-        """Return the next frame; None at the end. An `InputError` if the source fails."""
+        """Next frame; None at the end. Raises `InputError` if the source fails."""
 
     def close(self) -> None:
-        """Let go of the device or file; the next `read` begins again."""
+        """Close the device or file; the next `read` begins again."""
 
 
 def captures(
     source: Source, on_error: Callable[[InputError], None] | None = None
 ) -> Iterator[Capture]:
-    """Go through the frames of a source, and close it in the end.
+    """Frames of a source, which is closed in the end.
 
-    A frame that cannot be read is left out if `on_error` takes the error; else that is raised.
+    A frame that cannot be read is dropped if `on_error` takes the error; else that is raised.
     """
     with closing(source):
         while True:

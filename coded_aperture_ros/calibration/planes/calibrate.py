@@ -110,6 +110,16 @@ def calibrate_planes(
     InputError
         With the picture and what to do: no texture, wrong depths, planes on both sides of the
         focus, a depth range far beyond the planes.
+
+    References
+    ----------
+    Martinello 2012, section 6.2.1.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.calibration.planes.folder import load_planes
+    >>> found = calibrate_planes(load_planes(["planes/"]))  # doctest: +SKIP
+    >>> found.pattern.focus_distance_m  # doctest: +SKIP
     """
     config = (config or LearnConfig()).for_blur()
     checks = check_pictures(planes.images, planes.names, config.window_px, planes.depths_m)
@@ -177,6 +187,11 @@ def learn_bank_from_planes(
     ------
     InputError
         If a plane has no texture above its noise, or is smaller than the window.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.calibration.planes.folder import load_planes
+    >>> bank = learn_bank_from_planes(load_planes(["planes/"]))  # doctest: +SKIP
     """
     check_levels(level_count)
     config = (config or LearnConfig()).for_blur()

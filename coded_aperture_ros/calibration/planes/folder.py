@@ -48,6 +48,16 @@ def load_planes(
     ------
     InputError
         With the file or the entry, and what to do; see also `Planes`.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for depth_m in (1.0, 1.5, 2.0, 3.0):
+    ...         _ = add_plane(folder, np.full((8, 8), 0.5, np.float32), depth_m)
+    ...     load_planes([folder]).depths_m.tolist()
+    [1.0, 1.5, 2.0, 3.0]
     """
     paths = [Path(given) for given in inputs]
     folder = paths[0] if len(paths) == 1 and paths[0].is_dir() else None

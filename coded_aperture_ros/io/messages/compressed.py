@@ -1,4 +1,4 @@
-"""Pictures and depth as image_transport's plugins compress them: bytes, and the format to state."""
+"""Images and depth as image_transport's plugins compress them: bytes, and the message's format."""
 
 import struct
 
@@ -20,10 +20,10 @@ _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 95)
 
 
 def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
-    """Compress a picture as the transport `compressed` does: 8 bits as JPEG, 16 as PNG.
+    """Data and format of a picture in the transport `compressed`: 8 bits as JPEG, 16 as PNG.
 
-    Of pixels as one of `ENCODINGS` stores them: data, and the message's format. Raises
-    `MessageError` of kind "encoding", if they have no compressed form: floats, and mosaics.
+    Pixels are as one of `ENCODINGS` stores them. Raises `MessageError` of kind "encoding" if they
+    have no compressed form: floats, and mosaics.
     """
     target = check_pixels(pixels, encoding)
     if target.dtype == "f4" or target.mosaic or target.channels == 2:
@@ -41,10 +41,10 @@ def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
 
 
 def compressed_depth(depth: NDArray, kind: str = "png") -> tuple[bytes, str]:
-    """Compress depth as the transport `compressedDepth` does: data, and the message's format.
+    """Data and format of depth in the transport `compressedDepth`.
 
-    Of metres (float32) the inverse is kept in 16 bits, to 0.1 mm at 1 m and 10 mm at 10 m; +inf
-    stays so, NaN and -inf become unknown. Millimetres (uint16) are kept exactly. `kind` is png, or
+    The inverse of metres (float32) is kept in 16 bits, to 0.1 mm at 1 m and 10 mm at 10 m; +inf
+    stays, NaN and -inf become unknown. Millimetres (uint16) are kept exactly. `kind` is png, or
     rvl, which keeps runs and differences (Wilson, Fast Lossless Depth Image Compression, 2017).
     """
     scale = 0.0
@@ -68,7 +68,7 @@ def compressed_depth(depth: NDArray, kind: str = "png") -> tuple[bytes, str]:
 
 
 def _run_lengths(values: NDArray[np.uint16]) -> bytes:
-    """Return RVL: numbers of zeros, of others, and the others' differences, in groups of 3 bits."""
+    """RVL: numbers of zeros, of others, and the others' differences, in groups of 3 bits."""
     filled = values != 0
     # Zeros, maybe none, then others, maybe none, and so on.
     changes = np.flatnonzero(np.diff(filled, prepend=False))
@@ -86,7 +86,7 @@ def _run_lengths(values: NDArray[np.uint16]) -> bytes:
 
 
 def _groups(tokens: NDArray[np.uint32]) -> bytes:
-    """Return numbers in groups of 3 bits, lowest first, with a fourth where more follow."""
+    """Numbers in groups of 3 bits, lowest first, with a fourth where more follow."""
     counts = np.ones(len(tokens), np.intp)
     for group in range(1, 8):
         counts += tokens >> np.uint32(3 * group) > 0

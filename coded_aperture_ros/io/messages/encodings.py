@@ -1,4 +1,4 @@
-"""How `sensor_msgs/Image` and `sensor_msgs/CompressedImage` store pixels."""
+"""Pixel encodings of `sensor_msgs/Image` and `sensor_msgs/CompressedImage`."""
 
 import sys
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from coded_aperture_ros.frames import MOSAICS, decode_picture
 
 
 class MessageError(InputError):
-    """A message that cannot be used; `kind` names the fault in one word, for counting."""
+    """Message that cannot be used; `kind` names the fault in one word, for counting."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -22,7 +22,7 @@ class MessageError(InputError):
 
 @dataclass(frozen=True)
 class Encoding:
-    """How one `sensor_msgs/Image` encoding stores a pixel."""
+    """Storage of a pixel in one `sensor_msgs/Image` encoding."""
 
     dtype: str
     channels: int
@@ -53,7 +53,7 @@ ENCODINGS = {
 
 
 def parse_encoding(name: str) -> Encoding:
-    """Return the `Encoding` called `name`; a `MessageError` of kind "encoding" if unsupported."""
+    """Encoding of a name; raises `MessageError` of kind "encoding" if it is not supported."""
     if name not in ENCODINGS:
         known = ", ".join(ENCODINGS)
         raise MessageError("encoding", f"image encoding {name!r} is not supported, use {known}")
@@ -61,7 +61,7 @@ def parse_encoding(name: str) -> Encoding:
 
 
 def output_encoding(name: str) -> str:
-    """Return the encoding for what is made of an image: its own, or RGB for YUV and Bayer."""
+    """Encoding for the result of an image: its own, or RGB for YUV and Bayer."""
     encoding = parse_encoding(name)
     if encoding.channels != 2 and not encoding.mosaic:
         return name
@@ -69,17 +69,17 @@ def output_encoding(name: str) -> str:
 
 
 def stamp_ns(header: Any) -> int:
-    """Return the stamp of a header in nanoseconds."""
+    """Stamp of a header, ns."""
     return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
 
 
 def array_from_image(message: Any) -> NDArray:
-    """Return the pixels of an image message as they are stored, in native byte order.
+    """Pixels of an image message as they are stored, in native byte order.
 
     The message is a `sensor_msgs/Image` of rclpy, of a bag, or anything with the same fields, in
-    one of `ENCODINGS`. Rows may be padded (`step`) and bytes swapped (`is_bigendian`). Returns
-    [row, column] or [row, column, RGB], of the stored dtype, without alpha; a mosaic of colour
-    filters is left as it is. It may be a view of the message's data: do not write to it. Raises
+    one of `ENCODINGS`. Rows may be padded (`step`) and bytes swapped (`is_bigendian`). The result
+    is [row, column] or [row, column, RGB], of the stored dtype, without alpha; a mosaic of colour
+    filters stays unchanged. It may be a view of the message's data: do not write to it. Raises
     `MessageError` of kind "encoding", "size", "step" or "data".
     """
     encoding = parse_encoding(message.encoding)
@@ -111,7 +111,7 @@ def array_from_image(message: Any) -> NDArray:
 
 
 def array_from_compressed(message: Any) -> tuple[NDArray, str]:
-    """Return the pixels of a compressed image message, and the encoding that they have.
+    """Pixels of a compressed image message, and their encoding.
 
     The message is a `sensor_msgs/CompressedImage` or anything with its fields; JPEG, PNG or another
     format that OpenCV reads. Pixels are uint8 or uint16, [row, column] or [row, column, RGB], their
@@ -137,10 +137,11 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
 
 
 def check_pixels(pixels: NDArray, encoding: str) -> Encoding:
-    """Check that pixels [row, column(, stored channel)] are exactly as an encoding stores them.
+    """Encoding of a name, after a check that pixels are exactly as it stores them.
 
-    Fields of motion, right and down, are kept as optical flow is: 32FC2. Raises `MessageError` of
-    kind "encoding", if they are of another type or number of channels.
+    Pixels are [row, column(, stored channel)]. Fields of motion, right and down, are stored as
+    optical flow is: 32FC2. Raises `MessageError` of kind "encoding" if they are of another type or
+    number of channels.
     """
     target = Encoding("f4", 2) if encoding == "32FC2" else parse_encoding(encoding)
     shape = (*pixels.shape[:2], *((target.channels,) if target.channels > 1 else ()))

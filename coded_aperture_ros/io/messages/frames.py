@@ -60,20 +60,19 @@ def frame_from_image(
 
 
 def luminance(frame: NDArray) -> NDArray:
-    """Return the luminance of a linear frame of any type; a grey frame as it is."""
+    """Luminance of a linear frame of any type; a grey frame unchanged."""
     if frame.ndim == 2:
         return frame
     return cv2.transform(frame, _LUMINANCE)
 
 
 def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDArray:
-    """Return a frame as the pixels of an encoding: the inverse of `frame_from_image`.
+    """Pixels of an encoding for a frame: the inverse of `frame_from_image`.
 
     The frame, float32 [row, column] or [row, column, RGB], is linear light. Integer encodings clip
-    it to [0, 1]; unknown (NaN) pixels become 0. Integers of the encoding's own type are kept as
-    they are. `encoding` is one of `ENCODINGS`; grey ones of a colour frame hold its luminance,
-    mosaics what each pixel's filter lets through. Returns [row, column] or [row, column, stored
-    channel].
+    it to [0, 1]; unknown (NaN) pixels become 0. Integers of the encoding's own type stay unchanged.
+    `encoding` is one of `ENCODINGS`; grey ones of a colour frame hold its luminance, mosaics the
+    light of each pixel's filter. The result is [row, column] or [row, column, stored channel].
     """
     target = parse_encoding(encoding)
     if target.mosaic and frame.ndim == 3:
@@ -94,10 +93,10 @@ def pixels_from_frame(frame: NDArray, encoding: str, gamma: Gamma = 1.0) -> NDAr
 
 
 def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf) -> FloatArray:
-    """Mark known depths outside the range the way REP 117 asks for.
+    """Depth map in m, float32 [row, column], with depths outside the range marked as in REP 117.
 
-    Returns float32 [row, column], metres; -Inf where nearer than `near_m`, +Inf where farther than
-    `far_m`, NaN where the depth is unknown: what is unknown is never called far.
+    -Inf where nearer than `near_m`, +Inf where farther than `far_m`, NaN where the depth is
+    unknown: unknown is never called far.
     """
     depth_m = depth_m.astype(np.float32, copy=True)
     # The outermost levels of a bank are the ends of the range but for rounding.
@@ -116,11 +115,11 @@ def limit_layer(
 
 
 def millimetres_from_depth(depth_m: FloatArray) -> NDArray[np.uint16]:
-    """Return depth in whole millimetres, as REP 118 stores it in 16UC1.
+    """Depth in whole millimetres, uint16, as REP 118 stores it in 16UC1.
 
-    0 stands for everything without a distance: unknown, too near, beyond the range. A distance
-    too long for 16 bits saturates at 65535 instead of wrapping, and one below half a millimetre
-    becomes 1, because 0 is taken.
+    0 stands for everything without a distance: unknown, too near, beyond the range. A distance too
+    long for 16 bits saturates at 65535 instead of wrapping, and one below half a millimetre becomes
+    1, because 0 is taken.
     """
     known = np.isfinite(depth_m) & (depth_m > 0)
     # Clipped in metres first: the largest float32 would overflow when multiplied.
@@ -129,7 +128,7 @@ def millimetres_from_depth(depth_m: FloatArray) -> NDArray[np.uint16]:
 
 
 def depth_pixels(message: Any) -> NDArray:
-    """Return the pixels of a depth image (REP 118); a `MessageError` ("depth") if it is none."""
+    """Pixels of a depth image (REP 118); raises `MessageError` ("depth") if it is none."""
     pixels = array_from_image(message)
     if message.encoding not in ("32FC1", "16UC1", "mono16"):
         raise MessageError("depth", f"depth image is {message.encoding}, expected 32FC1 or 16UC1")
@@ -137,9 +136,9 @@ def depth_pixels(message: Any) -> NDArray:
 
 
 def depth_from_pixels(pixels: NDArray) -> FloatArray:
-    """Return a depth image of another camera, float32 (m) or uint16 (mm), in metres.
+    """Depth in m, float32, of another camera's depth image, float32 (m) or uint16 (mm).
 
-    NaN where the message says nothing: 0, negative, NaN, and infinities, which are no distance.
+    NaN where the message has no distance: 0, negative, NaN, infinite.
     """
     depth_m = pixels * _MILLIMETRE if pixels.dtype == np.uint16 else pixels
     known = np.isfinite(depth_m) & (depth_m > 0)
