@@ -1,4 +1,4 @@
-"""How an aperture is best cut up, if things move: the analysis of thesis 7.4."""
+"""Best fragmentation of an aperture for scenes in motion: the analysis of thesis 7.4."""
 
 import dataclasses
 import functools
@@ -24,7 +24,9 @@ PATCH_PX = 64
 NOISE_LEVELS = tuple(np.arange(1, 11) / 100)
 # The experiments of thesis table 7.1. It does not say how large blur and motion are; 12 px is its
 # longest motion in a photograph.
-LEVELS, DIRECTIONS, LENGTHS = 10, 8, 8
+LEVELS = 10
+DIRECTIONS = 8
+LENGTHS = 8
 BLUR_SIZES_PX = tuple(np.linspace(7.0, 25.0, LEVELS))
 LENGTHS_PX = tuple(1.5 * np.arange(1, LENGTHS + 1))
 # More placements than this are not all tried: as many at random are, and improved by exchanges.
@@ -36,14 +38,14 @@ _SUBCELLS = 8
 
 
 def table_motions() -> Motions:
-    """Return the 64 motions of thesis table 7.1, in order of direction, then length."""
+    """64 motions of thesis table 7.1, in order of direction, then length."""
     return Motions.grid(DIRECTIONS, LENGTHS_PX, static=False)
 
 
 def most_holes(
     focal_length_mm: float, f_number: float, smallest_hole_mm: float = SMALLEST_HOLE_MM
 ) -> int:
-    """Return how many square holes let as much light through as a round aperture (eq. 7.5).
+    """Number of square holes with as much light as a round aperture (eq. 7.5).
 
     `smallest_hole_mm` is the side of the smallest hole that diffraction allows.
     """
@@ -54,13 +56,13 @@ def most_holes(
 
 
 def hole_side_mm(focal_length_mm: float, f_number: float, holes: int) -> float:
-    """Return the side of square holes with the light of a round aperture (eq. 7.6), mm."""
+    """Side of square holes with the light of a round aperture (eq. 7.6), mm."""
     _check_positive(focal_length_mm=focal_length_mm, f_number=f_number, holes=holes)
     return math.sqrt(math.pi / holes) * focal_length_mm / (2 * f_number)
 
 
 def round_mask(grid: int, holes: int) -> Mask:
-    """Return the disc with the light of `holes` cells of a grid, as a mask of that grid's extent.
+    """Disc with the light of `holes` cells of a grid, as a mask of that grid's extent.
 
     An `InputError` where the disc is larger than the grid.
     """
@@ -79,7 +81,7 @@ def round_mask(grid: int, holes: int) -> Mask:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Fragmentation:
-    """What is left of the frequencies behind each placement of holes."""
+    """Frequencies that each placement of holes preserves."""
 
     masks: list[Mask]  # placements, no two of them alike but for a turn or a reflection
     # ``M_w`` of eq. 7.8 as a share of all frequencies, levels and motions [placements, noises].
@@ -91,7 +93,7 @@ class Fragmentation:
     exhaustive: bool  # whether all of them were tried
 
     def best(self, lowest: float, highest: float) -> int:
-        """Return which placement preserves most over the noise levels in a range."""
+        """Index of the placement that preserves most over the noise levels in a range."""
         levels = np.array(self.noise_levels)
         chosen = (levels > lowest - 1e-9) & (levels < highest + 1e-9)
         if not chosen.any():
@@ -108,12 +110,26 @@ def analyse_fragmentation(
     progress: Progress = iter,
     seed: int = 0,
 ) -> Fragmentation:
-    """Count the frequencies above the noise for every way to place holes (thesis 7.4.2).
+    """Frequencies above the noise for every way to place holes (thesis 7.4.2).
 
-    The grid has so many cells along a side, and an extent of `blur_sizes_px` in the image. The
-    noise levels are ``w`` of eq. 7.8; the texture has 1 at every frequency. `progress` wraps the
-    iteration over placements; `seed` is of those that are tried where there are too many to try
-    all. An `InputError` if the holes do not fit the grid, or a disc of their light does not.
+    Parameters
+    ----------
+    grid, holes : int
+        Cells along a side of the grid, and the number of open ones.
+    blur_sizes_px : array_like
+        Extents of the grid in the image, px.
+    motions : Motions
+    noise_levels : iterable of float, optional
+        ``w`` of eq. 7.8; the texture has 1 at every frequency.
+    progress : callable, optional
+        Wraps the iteration over placements.
+    seed : int, optional
+        Of the placements that are tried if there are too many to try all.
+
+    Raises
+    ------
+    InputError
+        If the holes do not fit the grid, or a disc of their light does not.
     """
     if grid < 1 or not 1 <= holes <= grid**2:
         raise InputError(f"{holes} holes: expected 1 to {grid**2} in a grid of {grid}x{grid}")
@@ -149,7 +165,7 @@ def analyse_fragmentation(
 def _preserved(
     blur_sizes_px: ArrayLike, traces: FloatArray, noises: tuple[float, ...], mask: Mask
 ) -> DoubleArray:
-    """Return the share of the frequencies that stay above each noise (eq. 7.8)."""
+    """Share of the frequencies that stay above each noise (eq. 7.8)."""
     motions, rows, columns = traces.shape
     once = (np.arange(columns) == 0) | (2 * (columns - 1) == np.arange(columns))
     counts = np.broadcast_to(np.where(once, 1.0, 2.0), (rows, columns)).ravel()
@@ -162,7 +178,7 @@ def _preserved(
 
 
 def transfer(psf: FloatArray) -> FloatArray:
-    """Return the modulus of a PSF's Fourier coefficients for a patch of `PATCH_PX`, as ``rfft2``.
+    """Modulus of a PSF's Fourier coefficients for a patch of `PATCH_PX`, as ``rfft2``.
 
     A PSF wider than the patch wraps around, as the patch itself is taken to.
     """
@@ -179,9 +195,10 @@ def _improved(
     turned: list[IndexArray],
     preserved: Callable[[Mask], DoubleArray],
 ) -> Iterator[tuple[Cells, DoubleArray]]:
-    """Move one hole of the best placement after the other, as long as that helps."""
+    """Placements tried while single holes of the best one move to better cells."""
     best = max(measured, key=lambda cells: float(measured[cells].sum()))
-    most, better = measured[best].sum(), True
+    most = measured[best].sum()
+    better = True
     while better:
         better = False
         for hole, place in itertools.product(range(len(best)), range(grid**2)):
@@ -191,19 +208,21 @@ def _improved(
             found = preserved(_mask(grid, cells))
             yield cells, found
             if found.sum() > most:
-                best, most, better = cells, found.sum(), True
+                best = cells
+                most = found.sum()
+                better = True
                 break
 
 
 def _turned(grid: int) -> list[IndexArray]:
-    """Return where every cell comes to lie in each of the eight turns and reflections."""
+    """Position of every cell in each of the eight turns and reflections."""
     cells = np.arange(grid**2).reshape(grid, grid)
     turns = [np.rot90(cells, turn) for turn in range(4)]
     return [np.argsort(turn.ravel()) for turn in (*turns, *(turn.T for turn in turns))]
 
 
 def _first(cells: Cells, turned: list[IndexArray]) -> Cells:
-    """Return the first in order of all turns and reflections of a placement."""
+    """First in order of all turns and reflections of a placement."""
     chosen = list(cells)
     return min(tuple(int(cell) for cell in np.sort(turn[chosen])) for turn in turned)
 

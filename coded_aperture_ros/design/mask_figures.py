@@ -1,4 +1,4 @@
-"""Figures of masks. Needs matplotlib, which is imported only when drawing."""
+"""Figures of masks. Matplotlib is imported only when drawing."""
 
 from collections.abc import Sequence
 
@@ -42,12 +42,12 @@ def draw_fragmented_responses(
 
 
 def draw_masks_by_light(masks: Sequence[tuple[Mask, float, float]], path: PathLike) -> None:
-    """Draw masks where their light and their depth error put them.
+    """Draw masks by their light and their depth error.
 
     Parameters
     ----------
     masks : sequence of (Mask, float, float)
-        With the light that each lets pass, and its relative depth error.
+        With the open share and the relative depth error of each.
     """
     from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 

@@ -1,4 +1,4 @@
-"""Trials of masks for a camera, a range and some light, from end to end.
+"""End-to-end trials of masks for a camera, a depth range and some light.
 
 Random scenes of the camera's blur sizes are traced through each mask, exposed with shot and read
 noise but without diffraction, and their depth is estimated with defaults.
@@ -57,7 +57,7 @@ _PUBLISHED = DepthConfig().confidence_threshold
 
 @dataclasses.dataclass(frozen=True)
 class Light:
-    """How much light there is, and what the sensor makes of it."""
+    """Illuminance, exposure and sensor."""
 
     illuminance_lux: float
     exposure_ms: float
@@ -65,9 +65,9 @@ class Light:
     read_noise: float  # electrons
 
     def electrons(self, camera: Camera) -> float:
-        """Return how many electrons a white surface makes in a pixel, at most a full well.
+        """Electrons of a white surface in a pixel, at most a full well.
 
-        That is `E t M^2 o / (pi f^2)` for a Lambertian surface, with the focal length in pixels: a
+        ``E t M^2 o / (pi f^2)`` for a Lambertian surface, with the focal length in pixels: a
         pixel's area over the square of the focal length needs no pixel pitch.
         """
         area_m2 = camera.mask.open_fraction * (1e-3 * camera.mask_extent_mm) ** 2
@@ -76,7 +76,7 @@ class Light:
         return float(min(made, self.full_well))
 
     def exposed(self, light: FloatArray, camera: Camera, random: np.random.Generator) -> FloatArray:
-        """Return the frame, with shot and read noise, white at 1 and in 12 bits."""
+        """Frame, with shot and read noise, white at 1 and in 12 bits."""
         white = self.electrons(camera)
         counted = random.poisson(np.clip(light, 0, None) * white)
         noise = random.normal(0, self.read_noise, counted.shape)
@@ -85,7 +85,7 @@ class Light:
 
 @dataclasses.dataclass(frozen=True)
 class Trial:
-    """A mask before a scene, of those that choose or of those that do not."""
+    """Mask in front of a scene, of those to choose by or of unseen ones."""
 
     camera: Camera
     range_m: tuple[float, float]
@@ -124,7 +124,8 @@ def searched_masks(
         At most so many masks.
     progress : Progress
     """
-    smallest, largest = max(blur_px[0], 0.5), min(blur_px[1], 60.0)
+    smallest = max(blur_px[0], 0.5)
+    largest = min(blur_px[1], 60.0)
     scene = SceneConfig(levels=levels, smallest_px=smallest, largest_px=largest)
     front = Front.empty(config.cells)
     run_all = partial(map, lambda task: run_epoch(*task))
@@ -148,7 +149,7 @@ def trials_of(
     scenes: tuple[int, int],
     cut_mm: float,
 ) -> list[Trial]:
-    """Return the trials of all masks, before scenes to choose by and before others.
+    """Trials of all masks, before scenes to choose by and before others.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ def trials_of(
 
 
 def measure(trial: Trial) -> TrialResult:
-    """Take a frame of the scene through the mask, and compare its depth with the truth."""
+    """Result of a trial: depth of a frame of the scene through the mask, against ground truth."""
     scene = _scene(trial.camera.side, trial.part, trial.number, _blur_range_px(trial))
     blur_px = scene.blur_size_px()
     true_m = np.asarray(trial.camera.depth_m(blur_px), np.float32)
@@ -214,7 +215,7 @@ def measure(trial: Trial) -> TrialResult:
 def _errors(
     trial: Trial, cut: Mask, scene: LayeredScene, true_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return relative error and confidence of every pixel, through a mask as it was cut."""
+    """Relative error and confidence of every pixel, through a mask as it was cut."""
     camera = trial.camera
     random = np.random.default_rng([trial.number, len(trial.part)])
     # As it is and cut wide it is averaged over the same points, each within a cell of the mask.
@@ -236,7 +237,7 @@ def _blur_range_px(trial: Trial) -> tuple[float, float]:
 
 @lru_cache(maxsize=64)
 def _scene(side: str, part: str, number: int, blur_px: tuple[float, float]) -> LayeredScene:
-    """Return a scene of the camera's blur sizes; the same behind every mask of one extent."""
+    """Scene of the camera's blur sizes; the same behind every mask of one extent."""
     return random_scene(_FIRST_SCENE[part] + number, Mask.named("levin"), side, _SIZE, blur_px)
 
 
@@ -246,7 +247,7 @@ def _bank(camera: Camera, range_m: tuple[float, float], levels: int) -> FilterBa
 
 
 def masks_in_order(results: Iterable[TrialResult]) -> list[dict[str, Any]]:
-    """Return a row for each mask, the one with the least error of the scenes to choose by first.
+    """Row for each mask, the one with the least error of the scenes to choose by first.
 
     Those that no other beats in both error and light are marked.
     """
@@ -261,8 +262,10 @@ def masks_in_order(results: Iterable[TrialResult]) -> list[dict[str, Any]]:
 
 
 def _row(measured: Sequence[TrialResult]) -> dict[str, Any]:
-    camera, light = measured[0].trial.camera, measured[0].trial.light
-    mask, openings = camera.mask, mask_openings(camera.mask)
+    camera = measured[0].trial.camera
+    light = measured[0].trial.light
+    mask = camera.mask
+    openings = mask_openings(camera.mask)
     extent_mm = camera.mask_extent_mm
     bar_mm = extent_mm * narrowest_bar(mask)
     return {
@@ -284,7 +287,7 @@ def _row(measured: Sequence[TrialResult]) -> dict[str, Any]:
 
 
 def _pooled(measured: Sequence[TrialResult]) -> dict[str, Any]:
-    """Return errors over all scenes; what is not known counts as wrong."""
+    """Errors over all scenes; unknown depth counts as wrong."""
     right = [one.right_of_published for one in measured if np.isfinite(one.right_of_published)]
     every, edges, wide = (
         np.concatenate([getattr(one, name) for one in measured])

@@ -27,7 +27,7 @@ def edge_distance_px(
 
 
 def lowest_and_highest(blur_size_px: NDArray[np.floating]) -> tuple[DoubleArray, DoubleArray]:
-    """Return the least and the greatest known value of every pixel's 3 x 3 neighbours."""
+    """Least and the greatest known value of every pixel's 3 x 3 neighbours."""
     known = np.isfinite(blur_size_px)
     lowest = ndimage.minimum_filter(np.where(known, blur_size_px, np.inf), 3)
     highest = ndimage.maximum_filter(np.where(known, blur_size_px, -np.inf), 3)

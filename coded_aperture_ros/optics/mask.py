@@ -219,7 +219,7 @@ MASK_NAMES = tuple(_BUILDERS)
 
 
 def load_mask(name: str) -> Mask:
-    """Return the mask of a name of `MASK_NAMES`, or else of a file; an `InputError` if neither."""
+    """Mask of a name of `MASK_NAMES`, or else of a file; an `InputError` if neither."""
     if name not in MASK_NAMES and Path(name).exists():
         return Mask.from_file(name)
     try:

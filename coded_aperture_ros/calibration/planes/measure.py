@@ -45,7 +45,7 @@ class MeasuredPlane:
         return tilt > max(_SURE * self.tilt_error_px, _TILT_PX)
 
     def scaled(self, scale: float) -> "MeasuredPlane":
-        """Return the blur of a mask whose grid is wider by a factor."""
+        """Blur of a mask whose grid is wider by a factor."""
         return MeasuredPlane(
             size_px=self.size_px * scale,
             sizes_px=self.sizes_px * np.float32(scale),

@@ -1,4 +1,4 @@
-"""The camera of a lens: its focal length, mask extent and wavefront, from rays."""
+"""Camera of a lens prescription: focal length, mask extent and wavefront, from rays."""
 
 import dataclasses
 import math
@@ -12,7 +12,9 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Wavefront
 from coded_aperture_ros.optics.wavefront import TERMS
 
-_FIELDS, _DEPTHS, _RAYS = 9, 5, 41
+_FIELDS = 9
+_DEPTHS = 5
+_RAYS = 41
 _RIMS = (1.1, 0.4, 1.1, -0.2)
 _SOFT = 0.03
 
@@ -32,19 +34,19 @@ class _Bundle:
 def traced_camera(
     camera: Camera, lens: Lens, mask_mm: float, pitch_um: float, near_m: float, far_m: float
 ) -> tuple[Camera, float]:
-    """Return a camera with the blur that a lens gives its mask, and what the fit leaves, px.
+    """Camera with the blur that a lens gives its mask, and the residual of the fit, px.
 
     Parameters
     ----------
     camera : Camera
-        For its mask, size, and focus: there a point on the axis has the least spot.
+        For its mask, size, and focus: there a point on the axis has the smallest spot.
     lens : Lens
     mask_mm : float
-        Extent of the mask's grid in the stop.
+        Extent of the mask's grid in the stop, mm.
     pitch_um : float
-        Distance between pixels.
+        Distance between pixels, um.
     near_m, far_m : float
-        Depths, from the entrance pupil, between which the blur has to be right.
+        Depths, from the entrance pupil, between which the blur has to be right, m.
 
     Raises
     ------
@@ -69,7 +71,8 @@ def traced_camera(
     ]
     pitch_mm = pitch_um * 1e-3
     solved, left = _solve(bundles, pitch_mm)
-    at_infinity, per_dioptre = 2 * solved[0], -2 * solved[1]
+    at_infinity = 2 * solved[0]
+    per_dioptre = -2 * solved[1]
     coefficients = 4 * solved[2:] / per_dioptre
     wavefront = Wavefront(corner, tuple(coefficients.tolist()), _rims(bundles))
     found = dataclasses.replace(
@@ -91,7 +94,7 @@ def _open(camera: Camera, points: DoubleArray, half_mm: float) -> DoubleArray:
 
 
 def _light(camera: Camera, places: DoubleArray) -> DoubleArray:
-    """Return what the mask passes at places [2, n], in half extents, down and right."""
+    """Transmission of the mask at places [2, n], in half extents, down and right."""
     cells = camera.mask.transmission
     index = np.floor((places + 1) / 2 * max(cells.shape)).astype(int)
     inside = ((index >= 0) & (index < np.array(cells.shape)[:, None])).all(axis=0)
@@ -118,8 +121,11 @@ def _bundle(camera: Camera, rays: Rays, field: float, inverse_m: float, half_mm:
 
 
 def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]:
-    """Fit, linearly, half the blur size at infinity and per 1/m, and a wavefront, px."""
-    moments, sides, total, weights = 0.0, 0.0, 0.0, 0.0
+    """Linear fit of half the blur size at infinity and per 1/m, and of a wavefront, px."""
+    moments = 0.0
+    sides = 0.0
+    total = 0.0
+    weights = 0.0
     terms = [Wavefront(1.0, tuple(row)) for row in np.eye(len(TERMS)).tolist()]
     for each in bundles:
         light = each.light * each.passed
@@ -143,7 +149,7 @@ def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]
 
 
 def _rims(bundles: list[_Bundle]) -> tuple[float, float, float, float]:
-    """Fit two circles to which rays get through."""
+    """Two circles fitted to the rays that get through."""
     field = np.concatenate([np.full(len(each.light), each.field) for each in bundles])
     p, q = np.concatenate([each.places for each in bundles], axis=1)
     passed = np.concatenate([each.passed for each in bundles])

@@ -17,14 +17,14 @@ _COLUMNS = "radius thickness index Abbe diameter, all in mm, 0 for flat, 'stop' 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rays:
-    """Where rays pass the stop, and where they meet the sensor; NaN where they do not.
+    """Intersections of rays with the stop and with the sensor; NaN if there is none.
 
     Attributes
     ----------
     stop, sensor : ndarray, float64 [2, n]
         Across and along the field, mm.
     passed : ndarray, bool [n]
-        Whether no rim is in the way; the stop's own is not there.
+        Whether no rim blocks the ray; the stop's own is left out.
     """
 
     stop: DoubleArray
@@ -34,7 +34,7 @@ class Rays:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens of surfaces one behind the other, as `load_lens` reads it."""
+    """Lens of surfaces one behind the other, as `load_lens` reads it."""
 
     optic: Any  # optiland's
     radii_mm: tuple[float, ...]  # of the rims, from the first surface on
@@ -42,22 +42,23 @@ class Lens:
 
     @property
     def focal_length_mm(self) -> float:
-        """Return the paraxial focal length."""
+        """Paraxial focal length, mm."""
         return float(self.optic.paraxial.f2())
 
     @property
     def pupil_mm(self) -> float:
-        """How far the entrance pupil lies behind the first surface."""
+        """Distance of the entrance pupil behind the first surface, mm."""
         return float(self.optic.paraxial.EPL())
 
     def trace(self, depth_m: float, tangent: float, points_mm: DoubleArray) -> Rays:
-        """Trace rays of a point through points [2, n] of the entrance pupil.
+        """Rays of a point through points [2, n] of the entrance pupil.
 
-        `depth_m` is from the entrance pupil, `tangent` of the angle from the axis.
+        `depth_m` is from the entrance pupil, `tangent` that of the angle from the axis.
         """
         from optiland.rays import RealRays
 
-        ahead_mm, count = 1e3 * depth_m, points_mm.shape[1]
+        ahead_mm = 1e3 * depth_m
+        count = points_mm.shape[1]
         start = np.array([0.0, tangent * ahead_mm, self.pupil_mm - ahead_mm])
         way = np.stack([*(points_mm - start[:2, None]), np.full(count, ahead_mm)])
         way /= np.linalg.norm(way, axis=0)
@@ -67,7 +68,8 @@ class Lens:
         with np.errstate(invalid="ignore"):
             rays = RealRays(*places, *way, np.ones(count), np.full(count, micrometres))
             self.optic.surfaces.trace(rays)
-            x, y = self.optic.surfaces.x, self.optic.surfaces.y
+            x = self.optic.surfaces.x
+            y = self.optic.surfaces.y
             radius = np.hypot(x, y)[1 : 1 + len(self.radii_mm)]
         rims = np.array(self.radii_mm)[:, None]
         rims[self.stop - 1] = np.inf
@@ -75,12 +77,13 @@ class Lens:
         return Rays(stop, sensor, (radius <= rims).all(axis=0) & np.isfinite(sensor).all(axis=0))
 
     def focused(self, depth_m: float, points_mm: DoubleArray) -> "Lens":
-        """Return the lens with the sensor where a point on the axis has the least spot."""
+        """Lens with the sensor where a point on the axis has the smallest spot."""
         behind_mm = []
         for moved_mm in (0.0, 1.0):
             self._move_sensor(moved_mm)
             rays = self.trace(depth_m, 0.0, points_mm)
-            stop, sensor = rays.stop[:, rays.passed], rays.sensor[:, rays.passed]
+            stop = rays.stop[:, rays.passed]
+            sensor = rays.sensor[:, rays.passed]
             behind_mm.append(np.sum(stop * sensor) / np.sum(stop * stop))
             self._move_sensor(-moved_mm)
         self._move_sensor(behind_mm[0] / (behind_mm[0] - behind_mm[1]))
@@ -93,9 +96,9 @@ class Lens:
 
 
 def load_lens(path: Path, wavelength_nm: float) -> Lens:
-    """Read a Zemax file (.zmx), or a table of surfaces.
+    """Lens from a Zemax file (.zmx), or a table of surfaces.
 
-    An `InputError` names the file, and what a lens needs that is not in it.
+    Raises `InputError` with the file, and what a lens needs that is not in it.
     """
     with naming(str(path)), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -134,7 +137,9 @@ def _of_table(path: Path) -> Lens:
     from optiland.materials import AbbeMaterial
     from optiland.optic import Optic
 
-    optic, radii, stop = Optic(), [], 0
+    optic = Optic()
+    radii = []
+    stop = 0
     optic.surfaces.add(index=0, radius=inf, thickness=1e3)
     for radius, thickness, index, abbe, diameter, is_stop in _rows(path):
         glass = {"material": AbbeMaterial(index, abbe)} if index != 1 else {}

@@ -74,7 +74,7 @@ def find_lattice(picture: NDArray[np.floating]) -> DotLattice:
 
 
 def _basis(light: NDArray) -> NDArray:
-    """Return the two shortest steps of the grid [2, 2], from the autocorrelation."""
+    """Two shortest steps of the grid [2, 2], from the autocorrelation."""
     height, width = light.shape
     shape = [fft.next_fast_len(2 * length, real=True) for length in light.shape]
     sums = fft.irfft2(np.abs(fft.rfft2(light, shape)) ** 2, shape)

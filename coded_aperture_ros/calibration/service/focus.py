@@ -1,7 +1,7 @@
-"""Where a lens is focused, from how depth by blur and the parallax of a moving camera disagree.
+"""Focus of a lens from the disagreement of depth by blur and parallax of a moving camera.
 
-Blur tells the inverse depth but for a constant, if the focus is not where it was; parallax tells it
-but for a scale. Together, where depths differ enough, they tell both.
+Depth by blur has an unknown offset in inverse depth if the focus has moved; parallax has an unknown
+scale. Together, where depths differ enough, they give both.
 """
 
 import dataclasses
@@ -15,24 +15,26 @@ from coded_aperture_ros.calibration.service.tracks import Tracks
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
-_FEWEST_POINTS, _FEWEST_FRAMES = 40, 6
-_TRACK_PX, _OUTLIER = 0.25, 2.0
+_FEWEST_POINTS = 40
+_FEWEST_FRAMES = 6
+_TRACK_PX = 0.25
+_OUTLIER = 2.0
 # What of a depth by blur is common to its neighbourhood, and so is no less by many points.
 _COMMON = 4.0
 
 
 @dataclasses.dataclass(frozen=True)
 class FocusShift:
-    """By how much depth by blur is off.
+    """Error of the inverse depth by blur.
 
     Attributes
     ----------
     dioptres, std : float
-        What is to be taken away from the inverse depth by blur, 1/m.
+        To be subtracted from the inverse depth by blur, 1/m, and its standard deviation.
     stretches : int
-        How many stretches of the video tell.
+        Number of stretches of the video that were used.
     depth_m : float
-        Median depth of what was seen, corrected.
+        Median depth of the points, corrected, m.
     """
 
     dioptres: float
@@ -44,9 +46,10 @@ class FocusShift:
 def fit_focus(
     tracked: Iterable[tuple[Tracks, DoubleArray, DoubleArray]], focal_length_px: float
 ) -> FocusShift:
-    """Fit the shift to tracks, each with inverse depths by blur of its points and their errors.
+    """Focus shift from tracks, with inverse depths by blur of their points and their errors.
 
-    The errors are standard deviations, 1/m; NaN is unknown. An `InputError` if too few frames tell.
+    The errors are standard deviations, 1/m; NaN is unknown. Raises `InputError` if too few frames
+    can be used.
     """
     found: list[tuple[float, float, float]] = []
     for tracks, inverse_m, std in tracked:
@@ -72,18 +75,20 @@ def fit_focus(
 def _shift(
     places: DoubleArray, inverse_m: DoubleArray, std: DoubleArray, focal_px: float
 ) -> tuple[float, float]:
-    """Return the shift that a stretch tells, and its variance: by a bundle adjustment.
+    """Shift from a stretch, and its variance, by bundle adjustment.
 
     Unknown are the poses of all frames but the first, the inverse depths in the first, and the
     shift.
     """
     rays = np.column_stack([places[0], np.ones(places.shape[1])])
-    later, count = places[1:], len(inverse_m)
+    later = places[1:]
+    count = len(inverse_m)
     poses: list[DoubleArray] = []
     for seen in later:
         ok = np.isfinite(seen[:, 0])
         guess = poses[-1] if poses else np.zeros(6)
-        turn, way = guess[:3].copy(), guess[3:].copy()
+        turn = guess[:3].copy()
+        way = guess[3:].copy()
         points = np.ascontiguousarray(rays[ok] / inverse_m[ok, None])
         _, turn, way = cv2.solvePnP(points, seen[ok], np.eye(3), None, turn, way, True)
         poses.append(np.concatenate([turn.ravel(), way.ravel()]))
@@ -119,10 +124,12 @@ def _shift(
 
 
 def _seen(state: DoubleArray, rays: DoubleArray, frames: int) -> tuple[DoubleArray, ...]:
-    """Return where points are seen [frames, n, 2], by poses [.., 6], and by inverse depths."""
-    poses, inverse_m = state[: 6 * frames].reshape(frames, 6), state[6 * frames : -1]
+    """Projections of points [frames, n, 2], with derivatives by poses and inverse depths."""
+    poses = state[: 6 * frames].reshape(frames, 6)
+    inverse_m = state[6 * frames : -1]
     place = np.empty((frames, len(rays), 2))
-    by_pose, by_depth = np.empty((*place.shape, 6)), np.empty(place.shape)
+    by_pose = np.empty((*place.shape, 6))
+    by_depth = np.empty(place.shape)
     for number, pose in enumerate(poses):
         turn, by_turn = cv2.Rodrigues(pose[:3])
         v = rays @ turn.T + inverse_m[:, None] * pose[3:]

@@ -1,4 +1,4 @@
-"""Whether the mask has turned in its lens, and which of its cells are covered."""
+"""Rotation of the mask in its lens, and its covered cells."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,39 +15,48 @@ from coded_aperture_ros.optics import Camera, Mask, psf_width, render_psf
 from coded_aperture_ros.optics.wavefront import field_tangents
 
 # Of a real lens, windows of the middle of the frame, where it is at its best; in parts of one PSF.
-_STRIDE_PX, _MIDDLE, _PARTS = 32, 0.25, (2, 2)
-_LEVELS, _LEAST_BLUR_PX = 32, 2.5
+_STRIDE_PX = 32
+_MIDDLE = 0.25
+_PARTS = (2, 2)
+_LEVELS = 32
+_LEAST_BLUR_PX = 2.5
 # Windows that fit worst are of edges and of what moves; fewer of one PSF say little.
-_KEPT, _FEWEST = 0.8, 4
-_STRETCHES, _FEWEST_WINDOWS = 4, 120
+_KEPT = 0.8
+_FEWEST = 4
+_STRETCHES = 4
+_FEWEST_WINDOWS = 120
 _FINE = 8
 # Degrees that a mask may have turned where nothing tells.
 _SPREAD_DEG = 3.0
-_STEP_DEG, _STEP = 0.25, 0.05
+_STEP_DEG = 0.25
+_STEP = 0.05
 _TURNS_DEG = np.arange(-8.0, 8.1, 2.0)
-_SORTINGS, _ROUNDS = 2, 3
+_SORTINGS = 2
+_ROUNDS = 3
 # Windows overlap, and so do what they tell of neighbouring frequencies.
 _REPEATED = 4.0
-_SURE, _COVERED, _MOST_COVERED = 5.0, 0.3, 6
+_SURE = 5.0
+_COVERED = 0.3
+_MOST_COVERED = 6
 # That many PSFs tell about cells: those with the most windows.
 _GROUPS = 12
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MaskState:
-    """A mask as it sits in the lens.
+    """State of a mask in the lens.
 
     Attributes
     ----------
     turned_deg, std_deg : float
-        Clockwise, as the camera file's picture shows it.
+        Rotation, clockwise in the camera file's picture, and its standard deviation.
     passed : ndarray, float64 [n, m]
-        Which share each open cell of the mask passes of what it did; 0 where it is closed.
+        Share of its original light that each open cell passes; 0 where it is closed.
     covered : ndarray, bool [n, m]
-        Cells that pass less than a third. Of a mask that is its own half turn, it may be the cell
+        Cells that pass less than a third. For a mask that is its own half turn, it may be the cell
         on the other side of the middle: power spectra do not tell.
     windows : int
-        How many windows tell.
+        Number of windows that were used.
     """
 
     turned_deg: float
@@ -57,14 +66,14 @@ class MaskState:
     windows: int
 
     def mask(self, mask: Mask) -> Mask:
-        """Return the mask as it is now."""
+        """Mask in this state."""
         return turned(
             Mask(mask.name, (mask.transmission * self.passed).astype(np.float32)), self.turned_deg
         )
 
 
 def turned(mask: Mask, degrees: float) -> Mask:
-    """Return a mask turned clockwise, on a finer grid."""
+    """Mask turned clockwise, on a finer grid."""
     if not degrees:
         return mask
     cells = np.kron(mask.transmission, np.ones((_FINE, _FINE), np.float32))
@@ -76,10 +85,10 @@ def turned(mask: Mask, degrees: float) -> Mask:
 def fit_mask(
     camera: Camera, frames: Sequence[FloatArray], largest_px: float, progress: Progress
 ) -> MaskState:
-    """Fit how the mask is turned, and what its cells pass, to windows of unknown depth.
+    """Rotation of the mask, and light of its cells, from windows of unknown depth.
 
-    Textures with a direction bend what a stretch of a video says. So each of four stretches is
-    asked for the turn by itself: how they scatter is how far to trust it.
+    Textures with a direction bias a stretch of a video. So the rotation is estimated from each of
+    four stretches: their scatter is its error.
 
     Parameters
     ----------
@@ -88,7 +97,7 @@ def fit_mask(
     frames : sequence of ndarray, float32 [rows, columns]
         Grey, linear light, in order.
     largest_px : float
-        Largest blur size that there may be.
+        Largest blur size that there may be, px.
     progress : Progress
 
     Raises
@@ -101,7 +110,8 @@ def fit_mask(
     steps = np.array([_STEP_DEG, *np.full(len(open_cells), _STEP)])
     scoring = Scoring(_Fitted(camera, open_cells).psf, steps)
     sizes_px = np.linspace(_LEAST_BLUR_PX, largest_px, _LEVELS)
-    turns, seen = [], list[Windows]()
+    turns = []
+    seen = list[Windows]()
     for first in progress(range(0, len(frames), per_stretch)):
         of_stretch = list(_windows(camera, frames[first : first + per_stretch]))
         windows = sum(len(each.powers) for each in of_stretch)
@@ -124,7 +134,7 @@ def fit_mask(
 
 
 def _turn(scoring: Scoring, seen: list[Windows], sizes_px: DoubleArray) -> float:
-    """Return how far the mask is turned, in degrees, by the windows of a stretch."""
+    """Rotation of the mask, degrees, from the windows of a stretch."""
     of_one_part = [each for each in seen if (each.tangent == seen[0].tangent).all()]
     cells = len(scoring.steps) - 1
     state = min(
@@ -144,10 +154,10 @@ def _turn(scoring: Scoring, seen: list[Windows], sizes_px: DoubleArray) -> float
 def _covered(
     scoring: Scoring, state: DoubleArray, windows: list[Windows]
 ) -> tuple[DoubleArray, list[int]]:
-    """Return the state with the fewest cells covered that explain the windows, and these cells.
+    """State with the fewest covered cells that explains the windows, and these cells.
 
-    One after the other, each the one that explains most: all at once they would make up for each
-    other. `state` says what they passed before.
+    Greedy: each is the one that explains most, as all at once they would compensate each other.
+    `state` has the light of the cells before.
     """
     most = sorted(windows, key=lambda each: -len(each.powers))[:_GROUPS]
     cells = np.arange(1, len(state))
@@ -157,7 +167,8 @@ def _covered(
     # As if every cell were open: where the state is, the gradient has vanished.
     gradient = gradient - information @ (state[1:] - open_[1:])
     chosen: list[int] = []
-    moved, gained = np.zeros(0), 0.0
+    moved = np.zeros(0)
+    gained = 0.0
     while len(chosen) < _MOST_COVERED:
         tried = [[*chosen, cell] for cell in range(len(cells)) if cell not in chosen]
         gains = [(*_gain(gradient, information, each), each) for each in tried]
@@ -177,24 +188,25 @@ def _covered(
 def _gain(
     gradient: DoubleArray, information: DoubleArray, cells: list[int]
 ) -> tuple[float, DoubleArray]:
-    """Return by how much the cost falls if some cells change, and how they do."""
+    """Decrease of the cost if some cells change, and their changes."""
     moved = np.asarray(-np.linalg.solve(information[np.ix_(cells, cells)], gradient[cells]))
     return float(-gradient[cells] @ moved), moved
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Fitted:
-    """The PSFs of a camera whose mask is in a state: how far turned, and what its cells pass."""
+    """PSFs of a camera for a state of its mask: rotation, and light of its cells."""
 
     camera: Camera
     open_cells: IndexArray
 
     def psf(self, state: DoubleArray, windows: Windows) -> FloatArray:
-        """Return the PSF of some windows."""
+        """PSF of some windows."""
         cells = np.array(self.camera.mask.transmission)
         # What derivatives step beyond is the same by scale.
         cells[tuple(self.open_cells.T)] *= state[1:].clip(0) / max(1.0, state[1:].max())
-        mask, size_px = turned(Mask(self.camera.mask.name, cells), state[0]), windows.blur_size_px
+        mask = turned(Mask(self.camera.mask.name, cells), state[0])
+        size_px = windows.blur_size_px
         if self.camera.wavefront is None:
             return render_psf(mask, size_px)
         width = psf_width(1.25 * size_px + 4)
@@ -202,7 +214,7 @@ class _Fitted:
 
 
 def _windows(camera: Camera, frames: Iterable[FloatArray]) -> Iterator[Windows]:
-    """Yield the windows of every frame and every part of its middle."""
+    """Windows of every frame and every part of its middle."""
     k = camera.intrinsics.camera_matrix
     parts = field_tangents(camera.intrinsics, *_PARTS) / 2
     left_out = _MIDDLE if camera.wavefront or camera.field_curvature else 0.0
@@ -219,15 +231,17 @@ def _windows(camera: Camera, frames: Iterable[FloatArray]) -> Iterator[Windows]:
 def _sorted(
     scoring: Scoring, state: DoubleArray, seen: list[Windows], sizes_px: DoubleArray
 ) -> tuple[list[Windows], float]:
-    """Return windows sorted by the blur size that explains them best, and what is left, of most."""
-    found, left = [], 0.0
+    """Windows sorted by the blur size that explains them best, and the remaining cost of most."""
+    found = []
+    left = 0.0
     for tangent in {tuple(each.tangent) for each in seen}:
         of_part = [each for each in seen if tuple(each.tangent) == tangent]
         powers = np.concatenate([each.powers for each in of_part])
         noise = float(np.median([each.noise for each in of_part]))
         here = [Windows(float(s), np.array(tangent), powers, noise) for s in sizes_px]
         costs = np.stack([scoring.costs(state, each).min(axis=1) for each in here])
-        best, least = costs.argmin(axis=0), costs.min(axis=0)
+        best = costs.argmin(axis=0)
+        least = costs.min(axis=0)
         misfit = least - saturated_cost(powers)
         kept = misfit <= np.quantile(misfit, _KEPT)
         left += float(least[kept].sum())

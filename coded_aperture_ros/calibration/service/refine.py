@@ -1,4 +1,4 @@
-"""A camera corrected by ordinary frames: mask, then focus."""
+"""Correction of a camera by ordinary frames: mask, then focus."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,8 @@ from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera
 
 _OF_MASK = 40  # frames; more tell little more
-_LEAST_BLUR_PX, _LEVELS = 2.5, 30
+_LEAST_BLUR_PX = 2.5
+_LEVELS = 30
 # Of the blur of infinity: what is farther is told apart no more.
 _FARTHEST = 0.97
 _WIDER = 1.05  # than the farthest by the camera as it was: it may have been refocused
@@ -29,17 +30,17 @@ _TURNED_DEG = 0.5
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Refined:
-    """What frames say of a camera.
+    """Camera corrected by frames.
 
     Attributes
     ----------
     camera : Camera
-        With what they say for certain.
+        With the certain corrections.
     mask : MaskState
     focus : FocusShift or None
-        None where points cannot be followed.
+        None if points cannot be tracked.
     unknown : str
-        Why the focus is as it was; empty if it was found.
+        Why the focus is unchanged; empty if it was found.
     """
 
     camera: Camera
@@ -54,20 +55,24 @@ class Refined:
 
 
 def refine_camera(camera: Camera, frames: Sequence[FloatArray], progress: Progress) -> Refined:
-    """Fit mask and focus of a camera to the frames of a video.
+    """Mask and focus of a camera from the frames of a video.
 
     Parameters
     ----------
     camera : Camera
-        As it was set up; what it sees is beyond the focus.
+        As it was set up; its scene is beyond the focal plane.
     frames : sequence of ndarray, float32 [rows, columns]
         Grey, linear light, in order.
     progress : Progress
 
+    Returns
+    -------
+    Refined
+
     Raises
     ------
     InputError
-        If the scene is not beyond the focus, or there is too little texture.
+        If the scene is not beyond the focal plane, or there is too little texture.
     """
     if camera.side != "far":
         raise InputError("expected a camera whose scene is beyond the focus (side: far)")
@@ -94,10 +99,7 @@ def refine_camera(camera: Camera, frames: Sequence[FloatArray], progress: Progre
 def _tracked(
     camera: Camera, frames: Sequence[FloatArray], progress: Progress
 ) -> Iterator[tuple[Tracks, DoubleArray, DoubleArray]]:
-    """Yield points that were followed, with their inverse depths by blur, and the errors of these.
-
-    NaN is unknown.
-    """
+    """Tracked points with their inverse depths by blur, and the errors of these; NaN is unknown."""
     ends_px = _LEAST_BLUR_PX, _FARTHEST * camera.blur_at_infinity_px
     near_m, far_m = camera.depth_m(ends_px)
     bank = learn_bank_for_camera(camera, float(near_m), float(far_m), _LEVELS)

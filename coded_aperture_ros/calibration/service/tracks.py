@@ -1,4 +1,4 @@
-"""Points followed from one frame of a video to a later one."""
+"""Points tracked from one frame of a video to later ones."""
 
 import dataclasses
 from collections.abc import Iterator, Sequence
@@ -12,9 +12,13 @@ from coded_aperture_ros.optics import Intrinsics
 
 Picture = NDArray[np.uint8]
 # A stretch ends where so many points are lost, or with so many frames.
-_LEFT, _MOST_FRAMES = 0.35, 40
-_MOST_POINTS, _APART_PX, _QUALITY = 400, 10, 0.005
-_WINDOW_PX, _SMALLER = 31, 3
+_LEFT = 0.35
+_MOST_FRAMES = 40
+_MOST_POINTS = 400
+_APART_PX = 10
+_QUALITY = 0.005
+_WINDOW_PX = 31
+_SMALLER = 3
 # A point that does not come back to where it began was lost.
 _BACK_PX = 0.7
 _MARGIN_PX = 8
@@ -22,7 +26,7 @@ _MARGIN_PX = 8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Tracks:
-    """Points of a frame, followed through those after it.
+    """Points of a frame, tracked through the frames after it.
 
     Attributes
     ----------
@@ -31,8 +35,8 @@ class Tracks:
     points : ndarray, int [n, 2]
         Rows and columns there.
     places : ndarray, float64 [frames, n, 2]
-        Tangents of the angles from the axis, to the right and downwards, without distortion; NaN
-        from where a point is lost.
+        Tangents of the angles from the axis, right and down, without distortion; NaN from where a
+        point is lost.
     """
 
     frame: int
@@ -52,7 +56,9 @@ def tracks_of(frames: Sequence[FloatArray], view: Intrinsics) -> Iterator[Tracks
         first = cv2.goodFeaturesToTrack(pictures[start], _MOST_POINTS, _QUALITY, _APART_PX)
         end = start + 1
         if first is not None:
-            seen, here, alive = [first[:, 0]], first, np.ones(len(first), bool)
+            seen = [first[:, 0]]
+            here = first
+            alive = np.ones(len(first), bool)
             for end in range(start + 1, min(start + _MOST_FRAMES, len(frames))):
                 here, found = _followed(pictures[start], pictures[end - 1 : end + 1], first, here)
                 x, y = here[:, 0].T
@@ -69,9 +75,9 @@ def tracks_of(frames: Sequence[FloatArray], view: Intrinsics) -> Iterator[Tracks
 def _followed(
     first: Picture, pair: Sequence[Picture], begin: FloatArray, here: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return where points are in the second of two frames, and which were found.
+    """Positions of points in the second of two frames, and which were found.
 
-    They are looked for from where they were in the first of them, and then compared with the very
+    They are searched from their positions in the first of them, and then compared with the very
     first frame, so that they do not drift.
     """
     how = {"winSize": (_WINDOW_PX, _WINDOW_PX), "maxLevel": _SMALLER}
@@ -88,7 +94,7 @@ def _picture(shown: FloatArray) -> Picture:
 
 
 def _tangents(places: FloatArray, rays: FloatArray) -> DoubleArray:
-    """Return the tangents of places [..., 2], x and y in px, from those of every pixel."""
+    """Tangents of places [..., 2], x and y in px, from those of every pixel."""
     x, y = np.moveaxis(np.nan_to_num(places).astype(np.float32), -1, 0)
     found = np.stack(
         [cv2.remap(np.ascontiguousarray(rays[..., i]), x, y, cv2.INTER_LINEAR) for i in range(2)],

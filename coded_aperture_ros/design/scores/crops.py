@@ -1,4 +1,4 @@
-"""Sharp crops of pictures, as textures to predict or measure with."""
+"""Sharp crops of pictures, as textures for predictions and measurements."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from coded_aperture_ros.io.picture_file import picture_files, read_image
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Textures:
-    """Where sharp crops come from."""
+    """Source of sharp crops."""
 
     kind: str  # for messages; `random` is white noise, uniform in [0, 1]
     pictures: tuple[FloatArray, ...]  # grey, 0 to 1; none for random texture
@@ -26,10 +26,10 @@ class Textures:
         return cls(kind, tuple(np.asarray(picture, np.float32) for picture in grey))
 
     def crops(self, count: int, rows: int, columns: int, random: np.random.Generator) -> FloatArray:
-        """Cut crops [count, rows, columns] at places chosen blindly: flat ones are not thrown away.
+        """Crops [count, rows, columns] at random positions: flat ones are kept.
 
         Pictures take turns, in random order, so that a few crops do not all come from one of them.
-        An `InputError` if no picture is large enough.
+        Raises `InputError` if no picture is large enough.
         """
         if self.kind == "random":
             return random.random((count, rows, columns), dtype=np.float32)
@@ -51,7 +51,7 @@ class Textures:
 
 
 def pictures_of(folder: Path) -> list[Path]:
-    """Return the pictures of a folder; an `InputError` if there are none."""
+    """Pictures of a folder; an `InputError` if there are none."""
     paths = list(picture_files(folder)) if folder.is_dir() else []
     if not paths:
         raise InputError(f"{folder}: expected a folder with pictures")

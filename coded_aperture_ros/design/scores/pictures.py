@@ -1,8 +1,8 @@
-"""The depth error that a mask will have with given pictures.
+"""Predicted depth error of a mask with given pictures.
 
 Sharp patches of the pictures are blurred with the mask's PSFs, and the cost of the filter bank
-decides which blur level each shows. That is what depth estimation does with a plane, but without
-learning a bank: only every second frequency of a window counts, as neighbours share what they tell.
+decides which blur level each shows. That is depth estimation of a plane, without learning a bank:
+only every second frequency of a window is used, as neighbours share their information.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,7 +32,7 @@ _BLOCK = 64
 
 
 def patch_side_px(scene: SceneConfig, window_px: int = WINDOW_PX) -> int:
-    """Return the side of sharp patches: a window, and room for the largest PSF around it.
+    """Side of sharp patches: a window, and room for the largest PSF around it.
 
     It is even, and quick to transform.
     """
@@ -92,7 +92,7 @@ class PictureScorer:
         self._noise = np.concatenate([self.spectra.of_windows(windows) for windows in white])
 
     def depth_error(self, mask: Mask) -> DoubleArray:
-        """Predict the mean |level error| of a mask at each noise; an `InputError` of one colour."""
+        """Mean |level error| of a mask at each noise; raises `InputError` for one colour."""
         check_two_colours(mask)
         psfs = render_psf_stack(mask, self.scene.blur_sizes_px).psfs
         blurred = self._blurred(psfs)
@@ -106,7 +106,7 @@ class PictureScorer:
         return np.array(errors)
 
     def _blurred(self, psfs: FloatArray) -> NDArray[np.complex64]:
-        """Return the spectra of the windows in the middle of blurred patches [N, K]."""
+        """Spectra of the windows in the middle of blurred patches [N, K]."""
         side = self.side_px
         transfer = np.stack([transfer_function(psf, (side, side)) for psf in psfs])
         margin = (side - self.spectra.window_px) // 2
@@ -136,7 +136,7 @@ class WindowSpectra:
         self._prior = NaturalImagePrior()
 
     def of_windows(self, windows: FloatArray) -> NDArray[np.complex64]:
-        """Return the spectra [N, K] of windows [N, n, n]; white noise has the power s^2."""
+        """Spectra [N, K] of windows [N, n, n]; white noise has the power s^2."""
         half = self.window_px // 2
         weighted = windows * (self._window[:, None] * self._window)
         # Every second frequency is what a transform of the sum of both halves has.
@@ -144,7 +144,7 @@ class WindowSpectra:
         return scipy.fft.rfft2(folded)[:, self._counts]
 
     def expected(self, psfs: FloatArray) -> FloatArray:
-        """Return the power that is expected of the prior's texture behind PSFs [slopes, L, K].
+        """Power that is expected of the prior's texture behind PSFs [slopes, L, K].
 
         For unit contrast, with the model error, as `learn_bank` has it. The PSFs [L, k, k] are no
         larger than the window.
@@ -166,7 +166,7 @@ class WindowSpectra:
         return np.array(spectra, np.float32) + np.float32(self._prior.model_error**2)
 
     def cost(self, power: FloatArray, expected: FloatArray, noise: float) -> FloatArray:
-        """Return the cost of every level for every window [N, L], as the filter bank has it.
+        """Cost of every level for every window [N, L], as the filter bank has it.
 
         That is twice the negative log-likelihood, over the number of frequencies. `power` [N, K] is
         that of the windows, noise included; `noise` > 0 is a standard deviation, linear light.
@@ -185,7 +185,7 @@ class WindowSpectra:
 
 
 def likeliest_levels(cost: FloatArray) -> DoubleArray:
-    """Return the level [N] of least cost [N, L], or the middle one where all cost the same."""
+    """Level [N] of least cost [N, L], or the middle one where all cost the same."""
     middle = (cost.shape[1] - 1) / 2
     undecided = cost.max(axis=1) == cost.min(axis=1)
     return np.where(undecided, middle, cost.argmin(axis=1)).astype(np.float64)

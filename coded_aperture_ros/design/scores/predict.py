@@ -1,8 +1,8 @@
-"""The error that a mask will have, predicted from the spectra that it makes of texture.
+"""Predicted error of a mask, from the expected spectra of texture behind it.
 
-Two levels are told apart by the Bhattacharyya distance of the Gaussian spectra that they make. What
-depth estimation adapts to (contrast, noise and slope of the texture) is taken out. The distance
-bounds the probability of taking one for the other (Chernoff), and these probabilities
+Two levels are distinguished by the Bhattacharyya distance of their Gaussian spectra. The parameters
+that depth estimation adapts to (contrast, noise and slope of the texture) are taken out. The
+distance bounds the probability of taking one for the other (Chernoff), and these probabilities
 weigh the differences of the levels.
 """
 
@@ -60,7 +60,7 @@ _BATCH = 32
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Prediction:
-    """What is expected of B masks."""
+    """Expected errors of B masks."""
 
     # Mean |level error| [B, noises]; comparable between masks, its scale is rough.
     depth_error: DoubleArray
@@ -93,7 +93,8 @@ class MaskScorer:
         # Directions from 0, of horizontal frequencies, to pi/2, of vertical ones.
         cycles = self.frequencies.vertical, self.frequencies.horizontal
         angle = np.arctan2(np.abs(cycles[0]), cycles[1])
-        upright, level = angle <= _LINES_RAD, angle >= np.pi / 2 - _LINES_RAD
+        upright = angle <= _LINES_RAD
+        level = angle >= np.pi / 2 - _LINES_RAD
         self._lines = [np.flatnonzero(upright), np.flatnonzero(level)]
         # Expected spectrum of sharp texture, and the weight of each frequency in a picture and its
         # gradient together [K].
@@ -213,7 +214,7 @@ def _distances(logs: FloatArray, slope: FloatArray) -> FloatArray:
 
 
 def smallest_openings(grids: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the side of the largest square that each open cell of a mask has a place in [B].
+    """Side of the largest square that each open cell of a mask has a place in [B].
 
     In cells, of masks [B, n, n]; 0 for a mask without an open cell.
     """

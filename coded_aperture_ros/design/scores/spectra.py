@@ -30,7 +30,7 @@ _DIRECTIONS = 16
 
 @dataclasses.dataclass(frozen=True)
 class SceneConfig:
-    """What a mask has to tell apart: blur sizes, texture, and what else blurs."""
+    """Blur sizes that a mask has to distinguish, texture, diffraction and motion."""
 
     levels: int = option(
         30, "Blur levels, equally spaced between the smallest and the largest.", minimum=2
@@ -68,7 +68,7 @@ class SceneConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Frequencies:
-    """The K frequencies that count: every second one of a window, half of the plane.
+    """K frequencies: every second one of a window, half of the plane.
 
     `vertical` and `horizontal` are whole cycles per window.
     """
@@ -78,7 +78,7 @@ class Frequencies:
 
     @staticmethod
     def of_window() -> "Frequencies":
-        """Return those of a Hann window of `WINDOW_PX`; neighbours share what they tell."""
+        """Frequencies of a Hann window of `WINDOW_PX`; neighbours share their information."""
         half = WINDOW_PX // 2
         vertical, horizontal = np.meshgrid(
             np.arange(-half + 2, half + 1, 2), np.arange(0, half + 1, 2), indexing="ij"
@@ -95,7 +95,7 @@ class Frequencies:
 
 
 def autocorrelations(grids: NDArray[np.floating]) -> FloatArray:
-    """Return the autocorrelations [B, (2 n - 1) n] of masks [B, n, n], for light of one in all.
+    """Autocorrelations [B, (2 n - 1) n] of masks [B, n, n], for light of one in all.
 
     Lags go down (-n+1 to n-1) and right (0 to n-1); those to the left count with their mirror
     images. Each mask has to let some light through.
@@ -110,7 +110,7 @@ def autocorrelations(grids: NDArray[np.floating]) -> FloatArray:
 
 
 def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> FloatArray:
-    """Return what turns autocorrelations into expected spectra [(2 n - 1) n, levels * K].
+    """Matrix [(2 n - 1) n, levels * K] from autocorrelations to expected spectra.
 
     For texture of unit variance, as `expected_spectra`; aliasing of the sensor is left out.
     """
@@ -122,7 +122,8 @@ def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> Floa
     texture = _texture(np.maximum(radius, 1 / _TORUS_PX), scene)
     texture *= (leakage * np.sinc(vertical) ** 2)[:, :, None]
     texture *= (leakage * np.sinc(horizontal) ** 2)[:, None, :]
-    down, right = np.arange(-cells + 1, cells), np.arange(cells)
+    down = np.arange(-cells + 1, cells)
+    right = np.arange(cells)
     rows = []
     for size in scene.blur_sizes_px:
         cell = size / cells
@@ -134,7 +135,7 @@ def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> Floa
 
 
 def expected_spectra(mask: Mask, scene: SceneConfig, frequencies: Frequencies) -> FloatArray:
-    """Return the spectra that a window is expected to see, of any mask [levels, K].
+    """Spectra that a window is expected to see, of any mask [levels, K].
 
     For texture of unit variance before the blur.
     """
@@ -152,7 +153,7 @@ def expected_spectra(mask: Mask, scene: SceneConfig, frequencies: Frequencies) -
 
 
 def seen_spectra(texture: FloatArray, gain: FloatArray, overlap: FloatArray) -> FloatArray:
-    """Return the spectra of texture behind PSFs, as windows with this autocorrelation see them.
+    """Spectra of texture behind PSFs, as windows with this autocorrelation see them.
 
     `texture` and `gain` are powers as by ``rfft2``, [rows, columns] and [L, rows, columns], of a
     torus that is as large as `overlap`.
@@ -164,7 +165,7 @@ def seen_spectra(texture: FloatArray, gain: FloatArray, overlap: FloatArray) -> 
 def diffraction_loss(
     smallest_opening: NDArray[np.floating], scene: SceneConfig, frequencies: Frequencies
 ) -> FloatArray:
-    """Return the share of the power that is left after diffraction [B, K].
+    """Share of the power that is left after diffraction [B, K].
 
     `smallest_opening` is the width of each mask's narrowest opening as a share of the mask's. Its
     diffraction counts for all of the mask, which errs on the dark side.
@@ -175,14 +176,14 @@ def diffraction_loss(
 
 
 def _window_power() -> DoubleArray:
-    """Return the power of the window at every frequency of the torus, of unit sum [torus]."""
+    """Power of the window at every frequency of the torus, of unit sum [torus]."""
     window = WindowedFourierBasis(WINDOW_PX).window.astype(np.float64)
     power = np.abs(np.fft.fft(window, _TORUS_PX)) ** 2
     return power / power.sum()
 
 
 def _texture(radius: DoubleArray, scene: SceneConfig) -> DoubleArray:
-    """Return the power of texture of unit variance, blurred by motion."""
+    """Power of texture of unit variance, blurred by motion."""
     frequency = np.fft.fftfreq(_TORUS_PX)
     everywhere = np.hypot(frequency[:, None], frequency)
     everywhere[0, 0] = 1 / _TORUS_PX

@@ -1,4 +1,4 @@
-"""A search on disk: written whole after every epoch, and read only by the search it belongs to."""
+"""State of a search on disk: written as a whole after every epoch, and only for the same search."""
 
 import dataclasses
 import json
@@ -18,7 +18,7 @@ _SCHEMA_VERSION = 1
 def save_checkpoint(
     path: str | os.PathLike[str], state: SearchState, config: SearchConfig, scene: SceneConfig
 ) -> None:
-    """Write where a search stands; the old file stays until the new one is whole."""
+    """Write the state of a search; the old file stays until the new one is complete."""
     fronts = [island.front for island in state.islands]
     write_archive(
         path,
@@ -40,9 +40,9 @@ def save_checkpoint(
 def load_checkpoint(
     path: str | os.PathLike[str], config: SearchConfig, scene: SceneConfig
 ) -> SearchState:
-    """Read where a search stood.
+    """State of a search from a file.
 
-    An `InputError` that names the file, if it cannot be read or belongs to another search, and what
+    Raises `InputError` with the file, if it cannot be read or belongs to another search, and what
     differs.
     """
     arrays = read_archive(path, _SCHEMA, _SCHEMA_VERSION)
@@ -74,5 +74,5 @@ def load_checkpoint(
 
 
 def _identity(config: SearchConfig, scene: SceneConfig) -> dict[str, object]:
-    """Return what makes two searches the same one."""
+    """Settings that define a search."""
     return dataclasses.asdict(config) | dataclasses.asdict(scene)

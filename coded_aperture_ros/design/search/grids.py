@@ -1,4 +1,4 @@
-"""Grids of open and closed cells: what can be made of them, and how to draw and change them."""
+"""Grids of open and closed cells: constraints, random grids and mutations."""
 
 import cv2
 import numpy as np
@@ -11,14 +11,14 @@ CARRIERS = ("transparent", "connected")
 
 
 def is_connected(grid: BoolArray) -> bool:
-    """Whether all that is closed hangs together with the frame around the mask [n, n]."""
+    """Whether all closed cells are connected with the frame around the mask [n, n]."""
     closed = np.pad(~grid, 1, constant_values=True).astype(np.uint8)
     count, _ = cv2.connectedComponents(closed, connectivity=4)
     return bool(count == 2)
 
 
 def symmetric(grids: BoolArray, symmetry: str) -> BoolArray:
-    """Make masks [B, n, n] the same after a half turn (`point`), or in a mirror (`mirror`)."""
+    """Masks [B, n, n] made symmetric to a half turn (`point`), or to a mirror (`mirror`)."""
     if symmetry == "point":
         return grids | grids[:, ::-1, ::-1]
     if symmetry == "mirror":
@@ -34,7 +34,7 @@ def random_grids(
     random: np.random.Generator,
     light: tuple[float, float] = (0.1, 0.8),
 ) -> BoolArray:
-    """Draw masks of open squares, with open shares from a range [count, cells, cells]."""
+    """Random masks of open squares, with open shares from a range [count, cells, cells]."""
     grids = np.zeros((count, cells, cells), bool)
     for grid in grids:
         target = random.uniform(*light)
@@ -48,7 +48,7 @@ def random_grids(
 def changed(
     grids: BoolArray, opening: int, symmetry: str, random: np.random.Generator
 ) -> BoolArray:
-    """Return a child of every mask [B, n, n]: a mutation, or a mixture with another one.
+    """Child of every mask [B, n, n]: a mutation, or a mixture with another one.
 
     A child may break constraints; see `allowed`.
     """
@@ -85,11 +85,11 @@ def changed(
 
 
 def allowed(grids: BoolArray, opening: int, light: tuple[float, float], carrier: str) -> BoolArray:
-    """Which masks [B, n, n] keep to the constraints [B].
+    """Which masks [B, n, n] satisfy the constraints [B].
 
-    Every open cell has to lie in an open square of the side `opening`; `light` is the least and
-    the most open share; with the carrier `transparent` any pattern can be printed, with
-    `connected` what is closed must hang together with the frame, or it falls out.
+    Every open cell has to lie in an open square of the side `opening`; `light` is the least and the
+    most open share; with the carrier `transparent` any pattern can be printed, with `connected`
+    closed cells must be connected with the frame, or they fall out.
     """
     share = grids.mean(axis=(1, 2))
     fits = (share >= light[0]) & (share <= light[1]) & (share > 0) & (share < 1)

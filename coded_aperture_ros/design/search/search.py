@@ -1,9 +1,9 @@
-"""The search for better masks: islands of masks that change, mix and cool down.
+"""Search for better masks: islands of masks with mutation, mixture and simulated annealing.
 
-An island is a few dozen masks with scores. In an epoch each mask gets a child, many times; a child
-takes its parent's place if it is better, or, as in annealing, sometimes if it is a little worse.
-An epoch depends on nothing but what it starts from, so that any process of any machine can do it,
-and do it again if the process dies.
+An island is a few dozen masks with scores. In an epoch each mask gets many children, one after the
+other; a child replaces its parent if it is better, or, as in annealing, sometimes if it is a little
+worse. An epoch depends on nothing but its start, so that any process of any machine can do it, and
+do it again if the process dies.
 """
 
 import dataclasses
@@ -29,14 +29,15 @@ from coded_aperture_ros.design.search.grids import (
 _MASKS = 64
 _FRONT = 60
 # Temperatures in the scale of the logarithm of the objective.
-_HOT, _COLD = 0.1, 0.002
+_HOT = 0.1
+_COLD = 0.002
 _TRIES = 30
 _scorer = lru_cache(maxsize=2)(MaskScorer)  # by the scene
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Front:
-    """Masks that no other mask found beats in depth, deblurring and light at once.
+    """Pareto front: masks that no other mask beats in depth, deblurring and light at once.
 
     The least depth error comes first. Of all scores less is better.
     """
@@ -46,11 +47,11 @@ class Front:
 
     @staticmethod
     def empty(cells: int) -> "Front":
-        """Return a front without masks."""
+        """Front without masks."""
         return Front(np.zeros((0, cells, cells), bool), np.zeros((0, 3)))
 
     def with_masks(self, grids: BoolArray, scores: DoubleArray, most: int) -> "Front":
-        """Return the front of these and more masks, of at most `most`.
+        """Front of these and more masks, of at most `most`.
 
         Where there are too many, those that differ least in depth error from their neighbour go.
         """
@@ -74,7 +75,7 @@ def not_beaten(scores: DoubleArray) -> BoolArray:
 
 @dataclasses.dataclass(frozen=True)
 class SearchConfig:
-    """Which masks are looked for, and for how long."""
+    """Constraints on the masks of a search, and its length."""
 
     cells: int = option(11, "Cells along a side of the mask's grid.", within=(7, 13))
     smallest_opening: int = option(
@@ -116,7 +117,7 @@ class SearchConfig:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Island:
-    """A population of masks, and all that is known of those that were ever scored in it."""
+    """Population of masks, and the front of all that were ever scored in it."""
 
     grids: BoolArray  # [masks, n, n]
     objective: DoubleArray  # [masks], less is better; infinite before the first epoch
@@ -126,7 +127,7 @@ class Island:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SearchState:
-    """Where a search stands after some epochs."""
+    """State of a search after some epochs."""
 
     islands: tuple[Island, ...]
     epoch: int
@@ -147,12 +148,12 @@ class SearchState:
 
     @property
     def scored(self) -> int:
-        """How many masks were scored."""
+        """Number of masks that were scored."""
         return sum(island.scored for island in self.islands)
 
 
 def first_state(config: SearchConfig) -> SearchState:
-    """Draw what a search begins with; an `InputError` if the constraints leave next to no mask."""
+    """Random start of a search; raises `InputError` if the constraints leave next to no mask."""
     islands = []
     for number in range(config.islands):
         random = np.random.default_rng([config.seed, number])
@@ -177,17 +178,20 @@ def first_state(config: SearchConfig) -> SearchState:
 def run_epoch(
     island: Island, number: int, epoch: int, config: SearchConfig, scene: SceneConfig
 ) -> Island:
-    """Change the masks of an island for one epoch.
+    """Island after one more epoch.
 
-    The numbers of the island and of the epoch choose the random numbers: the result is the same
-    for the same arguments, on any machine.
+    The numbers of the island and of the epoch choose the random numbers: the result is the same for
+    the same arguments, on any machine.
     """
     random = np.random.default_rng([config.seed, number, epoch + 1])
-    grids, objective, front = island.grids.copy(), island.objective.copy(), island.front
+    grids = island.grids.copy()
+    objective = island.objective.copy()
+    front = island.front
     scored = island.scored
     if not np.isfinite(objective).all():
         objective, scores = _objective(grids, config, scene)
-        front, scored = front.with_masks(grids, scores, _FRONT), scored + len(grids)
+        front = front.with_masks(grids, scores, _FRONT)
+        scored = scored + len(grids)
     for generation in range(config.generations):
         done = (epoch + generation / config.generations) / config.epochs
         temperature = _HOT * (_COLD / _HOT) ** done
@@ -200,12 +204,14 @@ def run_epoch(
         front = front.with_masks(children[fits], scores, _FRONT)
         gain = objective[fits] - found
         taken = random.random(len(fits)) < np.exp(np.clip(gain / temperature, -50, 0))
-        grids[fits[taken]], objective[fits[taken]] = children[fits[taken]], found[taken]
+        grids[fits[taken]] = children[fits[taken]]
+        objective[fits[taken]] = found[taken]
     # The worst quarter gives way to the best of all times.
     worst = np.argsort(objective)[-(_MASKS // 4) :]
     value = _value(front.scores, config)
     kept = np.argsort(value)[: len(worst)]
-    grids[worst[: len(kept)]], objective[worst[: len(kept)]] = front.grids[kept], value[kept]
+    grids[worst[: len(kept)]] = front.grids[kept]
+    objective[worst[: len(kept)]] = value[kept]
     return Island(grids, objective, front, scored)
 
 
@@ -215,7 +221,7 @@ def search_epochs(
     run_all: Callable[[list[tuple[Any, ...]]], Iterable[Island]],
     state: SearchState | None = None,
 ) -> Iterator[SearchState]:
-    """Search until the last epoch, on from `state`, and yield the state after each.
+    """State after each epoch until the last one, on from `state`.
 
     `run_all` gets the arguments of `run_epoch` for every island and returns the islands in order;
     here the work can be shared.
@@ -231,13 +237,16 @@ def search_epochs(
 
 
 def _with_migrants(islands: list[Island]) -> tuple[Island, ...]:
-    """Let the best mask of each island take the place of the next one's worst."""
+    """Islands after the best mask of each has replaced the next one's worst."""
     moved = []
     for number, island in enumerate(islands):
         source = islands[number - 1]
-        best, worst = int(np.argmin(source.objective)), int(np.argmax(island.objective))
-        grids, objective = island.grids.copy(), island.objective.copy()
-        grids[worst], objective[worst] = source.grids[best], source.objective[best]
+        best = int(np.argmin(source.objective))
+        worst = int(np.argmax(island.objective))
+        grids = island.grids.copy()
+        objective = island.objective.copy()
+        grids[worst] = source.grids[best]
+        objective[worst] = source.objective[best]
         moved.append(dataclasses.replace(island, grids=grids, objective=objective))
     return tuple(moved)
 

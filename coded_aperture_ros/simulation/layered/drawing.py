@@ -1,4 +1,4 @@
-"""Drawing of a random scene: planes of a room, and things before them, each a layer of its own."""
+"""Drawing of a random scene: planes of a room, and objects in front of them, each in a layer."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ def new_drawing(
     shape: tuple[int, int],
     blur_range_px: tuple[float, float] | None = None,
 ) -> "tuple[Drawing, Camera]":
-    """Return what draws a scene of these blur sizes, or of random ones, and its camera."""
+    """Drawing of a scene of these blur sizes, or of random ones, and its camera."""
     nearest, farthest = blur_range_px or _blur_range(random, side)
     # What is farther away than all of the scene: blur sizes end at that of infinity.
     infinity = max(farthest, 1.0) * random.uniform(1.2, 1.8)
@@ -50,7 +50,7 @@ def new_drawing(
 
 
 def _blur_range(random: np.random.Generator, side: str) -> tuple[float, float]:
-    """Return the blur sizes of the nearest and the farthest surface."""
+    """Blur sizes of the nearest and the farthest surface."""
     if side == "both":
         return random.uniform(-15, -2), random.uniform(2, 15)
     far = random.uniform(6, LARGEST_PX)
@@ -60,7 +60,7 @@ def _blur_range(random: np.random.Generator, side: str) -> tuple[float, float]:
 
 
 class Drawing:
-    """Draws one scene's layers; holds what they have in common."""
+    """Random layers of one scene, with common exposure and texture."""
 
     def __init__(
         self,
@@ -69,7 +69,9 @@ class Drawing:
         margin_px: int,
         blur_range_px: tuple[float, float],
     ) -> None:
-        self.random, self.shape, self.margin = random, shape, margin_px
+        self.random = random
+        self.shape = shape
+        self.margin = margin_px
         self.nearest, self.farthest = blur_range_px
         self.canvas = tuple(FINENESS * (length + 2 * margin_px) for length in shape)
         self.exposure = float(np.exp(random.uniform(np.log(0.06), np.log(0.4))))
@@ -78,7 +80,7 @@ class Drawing:
         self.softness = random.uniform(0, 1.0) if random.random() < 0.3 else 0.0
 
     def things(self) -> tuple[Layer, ...]:
-        """Return what stands, hangs and grows before the room, nearest first."""
+        """Objects in front of the room, nearest first."""
         random = self.random
         found: list[tuple[float, FloatArray | None]] = []
         names = list(THINGS)
@@ -97,7 +99,7 @@ class Drawing:
         return tuple(layers)
 
     def rods(self, widths_px: Sequence[float], behind_px: FloatArray) -> list[tuple[float, Layer]]:
-        """Return rods side by side before what is behind: how far away each is, and its layer."""
+        """Rods side by side in front of a background: blur size and layer of each."""
         random, rows, columns = self.random, *self.canvas
         y, x = np.mgrid[:rows, :columns].astype(np.float32)
         standing = random.random() < 0.6
@@ -125,7 +127,7 @@ class Drawing:
     def fence(
         self, kind: str, room: tuple[Layer, ...], farthest: float
     ) -> tuple[tuple[Layer, ...], FloatArray, FloatArray]:
-        """Return what part of the room is seen through: its share of pixels, and its blur size."""
+        """Layers that cover a part of the room, their share of each pixel, and their blur size."""
         random = self.random
         blur = random.uniform(self.nearest, farthest)
         if kind == "leaves":
@@ -152,7 +154,7 @@ class Drawing:
         return layers, np.clip(cover, 0, 1), near
 
     def room(self, things: tuple[Layer, ...]) -> tuple[Layer, ...]:
-        """Return the planes behind all things: the nearest of them is seen at every pixel."""
+        """Planes behind all things: the nearest of them is seen at every pixel."""
         random, rows, columns = self.random, *self.canvas
         y, x = np.mgrid[:rows, :columns].astype(np.float32) / FINENESS - self.margin
         span = self.farthest - self.nearest
@@ -180,7 +182,7 @@ class Drawing:
         return tuple(layers[::-1])
 
     def _wall(self, span: float) -> tuple[float, float, float]:
-        """Return the plane that ends the scene: often slanted, and as far as the range goes."""
+        """Plane that ends the scene: often slanted, and as far as the range goes."""
         random = self.random
         slant = random.uniform(-1, 1, 2) * (0.5 * span if random.random() < 0.5 else 0.02 * span)
         down, right = slant / self.shape
@@ -188,7 +190,7 @@ class Drawing:
         return self.farthest - highest, down, right
 
     def _place(self) -> float:
-        """Return the blur size of a thing: more of them are near than far."""
+        """Blur size of an object; near ones are more frequent."""
         return float(self.nearest + (self.farthest - self.nearest) * self.random.random() ** 1.6)
 
     def _thing(self, name: str) -> FloatArray:
@@ -197,17 +199,20 @@ class Drawing:
 
     def _layer(self, matte: FloatArray, blur: float) -> Layer | None:
         random = self.random
-        rows, columns = np.flatnonzero(matte.any(axis=1)), np.flatnonzero(matte.any(axis=0))
+        rows = np.flatnonzero(matte.any(axis=1))
+        columns = np.flatnonzero(matte.any(axis=0))
         if rows.size < 3 or columns.size < 3:
             return None
-        top, left = rows[0], columns[0]
+        top = rows[0]
+        left = columns[0]
         matte = matte[top : rows[-1] + 1, left : columns[-1] + 1]
         size = np.array(matte.shape) / FINENESS
         slant = np.zeros(2)
         if random.random() < 0.4:
             room = min(blur - self.nearest, self.farthest - blur)
             slant = random.uniform(-1, 1, 2) * room / size.sum()
-        y, x = top / FINENESS - self.margin, left / FINENESS - self.margin
+        y = top / FINENESS - self.margin
+        x = left / FINENESS - self.margin
         middle = y + size[0] / 2, x + size[1] / 2
         base = blur - slant[0] * middle[0] - slant[1] * middle[1]
         relief = None
@@ -248,7 +253,7 @@ class Drawing:
         return Layer(y, x, prefiltered(shining), prefiltered(hiding), (base, down, right), relief)
 
     def _light(self, shape: tuple[int, ...]) -> FloatArray:
-        """Return a textured surface's light: tone, contrast, shading."""
+        """Textured surface's light: tone, contrast, shading."""
         random = self.random
         rows, columns = shape
         whole = texture(int(random.integers(TEXTURE_COUNT)))
@@ -276,7 +281,7 @@ class Drawing:
         return np.exp(cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC))
 
     def _shadow(self, things: tuple[Layer, ...]) -> FloatArray:
-        """Return the shadows that some things cast on the room."""
+        """Shadows that some things cast on the room."""
         random = self.random
         shadow = np.ones(self.canvas, np.float32)
         shift = random.normal(0, 40, 2).astype(int)

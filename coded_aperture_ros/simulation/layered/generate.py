@@ -26,7 +26,7 @@ def random_scene(
     blur_range_px: tuple[float, float] | None = None,
     empty: bool = False,
 ) -> LayeredScene:
-    """Return a random scene; the same for the same arguments.
+    """Random scene; the same for the same arguments.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def rod_scene(
     side: str = "far",
     shape: tuple[int, int] = (288, 288),
 ) -> tuple[LayeredScene, NDArray[np.int32]]:
-    """Return a scene of rods of known widths before a room, and which of them each pixel shows.
+    """Scene of rods of known widths before a room, and which of them each pixel shows.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ class Fenced:
 def fenced_scene(
     seed: int, mask: Mask, kind: str = "net", side: str = "far", shape: tuple[int, int] = (288, 288)
 ) -> Fenced:
-    """Return a room behind a net, foliage or a pane that shines; the same for the same arguments.
+    """Room behind a net, foliage or a pane that shines; the same for the same arguments.
 
     Parameters
     ----------
@@ -133,7 +133,9 @@ def fenced_scene(
 
 
 def _apart(random: np.random.Generator, side: str) -> tuple[float, float]:
-    """Return a range of blur sizes with room for something before the room."""
-    wide, narrow = random.uniform(7, LARGEST_PX), random.uniform(0.1, 0.55)
-    near, far = max(narrow * wide, 0.9), wide
+    """Range of blur sizes with room for something before the room."""
+    wide = random.uniform(7, LARGEST_PX)
+    narrow = random.uniform(0.1, 0.55)
+    near = max(narrow * wide, 0.9)
+    far = wide
     return (near, far) if side == "far" else (-far, -near)

@@ -17,7 +17,7 @@ _STEPS = 3
 
 @njit(cache=True, fastmath=True, inline="always")
 def _within(first, step, low, high, start, stop):  # type: ignore[no-untyped-def]
-    """Return the integers of a range at which ``first + step x`` is in [low, high)."""
+    """Integers of a range at which ``first + step x`` is in [low, high)."""
     if abs(step) < 1e-9:
         return (start, stop) if low <= first < high else (start, start)
     one, two = (low - first) / step, (high - first) / step

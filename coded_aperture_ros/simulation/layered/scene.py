@@ -1,4 +1,4 @@
-"""A scene of layers before a camera: what it records, and the truth."""
+"""Scene of layers in front of a camera: coded frame and ground truth."""
 
 import dataclasses
 
@@ -36,7 +36,7 @@ class LayeredScene:
         return self.camera.image_height, self.camera.image_width
 
     def coded(self, mask: Mask | None = None, fewest_cells: int = FEWEST_CELLS) -> FloatArray:
-        """Return the frame that the camera records, without noise, float32 [rows, columns].
+        """Frame that the camera records, without noise, float32 [rows, columns].
 
         Another `mask` may stand in for the camera's; see `lens_samples` for `fewest_cells`.
         """
@@ -44,19 +44,19 @@ class LayeredScene:
         return traced(list(self.layers), self.shape, samples)
 
     def all_in_focus(self) -> FloatArray:
-        """Return the frame through the middle of the aperture alone, float32 [rows, columns]."""
+        """Frame through the middle of the aperture alone, float32 [rows, columns]."""
         return traced(list(self.layers), self.shape, np.array([[0, 0, 1]], np.float32))
 
     def blur_size_px(self) -> FloatArray:
-        """Return the signed blur size of what every pixel shows, float32 [rows, columns]."""
+        """Signed blur size of what every pixel shows, float32 [rows, columns]."""
         return seen_from_centre(list(self.layers), self.shape)
 
     def depth_m(self) -> FloatArray:
-        """Return the depth of what every pixel shows, float32 [rows, columns]."""
+        """Depth of what every pixel shows, float32 [rows, columns]."""
         return np.asarray(self.camera.depth_m(self.blur_size_px()), np.float32)
 
     def refocused(self, focus_m: float) -> "LayeredScene":
-        """Return the scene before the same lens, focused at another distance without breathing.
+        """Scene before the same lens, focused at another distance without breathing.
 
         Blur sizes are linear in the inverse of the depth, whatever the focus.
         """

@@ -1,4 +1,4 @@
-"""Random outlines: mattes of things that robots meet, drawn at the canvas' resolution."""
+"""Random outlines: mattes of objects that robots meet, at the canvas' resolution."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def _stroke(canvas: FloatArray, points: NDArray[np.floating], width: float) -> N
 
 
 def width_px(random: np.random.Generator) -> float:
-    """Return the width of something thin, on the canvas: 2 to 24 px of the frame."""
+    """Width of something thin, on the canvas: 2 to 24 px of the frame."""
     return FINENESS * float(np.exp(random.uniform(np.log(2), np.log(24))))
 
 
@@ -37,7 +37,8 @@ def rods(random: np.random.Generator, side: int) -> FloatArray:
     """Draw a few straight rods that cross the picture."""
     canvas = np.zeros((side, side), np.float32)
     for _ in range(random.integers(1, 4)):
-        middle, angle = random.uniform(0, side, 2), random.choice([0, 1]) * np.pi / 2
+        middle = random.uniform(0, side, 2)
+        angle = random.choice([0, 1]) * np.pi / 2
         angle += random.normal(0, 0.3)
         half = side * random.uniform(0.15, 0.9)
         step = half * np.array([np.cos(angle), np.sin(angle)])
@@ -68,7 +69,8 @@ def net(random: np.random.Generator, side: int) -> FloatArray:
             middle = side / 2 + place * along[::-1] * [1, -1]
             _stroke(canvas, np.array([middle - side * along, middle + side * along]), width)
     keep = np.zeros_like(canvas)
-    corner, size = random.uniform(0, 0.5, 2) * side, random.uniform(0.35, 1, 2) * side
+    corner = random.uniform(0, 0.5, 2) * side
+    size = random.uniform(0.35, 1, 2) * side
     cv2.rectangle(keep, corner.astype(int).tolist(), (corner + size).astype(int).tolist(), 1.0, -1)
     return canvas * keep
 
@@ -76,7 +78,8 @@ def net(random: np.random.Generator, side: int) -> FloatArray:
 def card(random: np.random.Generator, side: int) -> FloatArray:
     """Draw a polygon with three to six corners; mostly a rectangle."""
     canvas = np.zeros((side, side), np.float32)
-    centre, size = random.uniform(0, side, 2), random.uniform(0.06, 0.5, 2) * side
+    centre = random.uniform(0, side, 2)
+    size = random.uniform(0.06, 0.5, 2) * side
     corners = 4 if random.random() < 0.7 else int(random.integers(3, 7))
     turn = (np.arange(corners) + 0.5) * 2 * np.pi / corners
     points = np.column_stack([np.cos(turn), np.sin(turn)]) * size
@@ -90,7 +93,8 @@ def ellipse(random: np.random.Generator, side: int) -> FloatArray:
     """Draw an ellipse of any size."""
     canvas = np.zeros((side, side), np.float32)
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
-    size, angle = random.uniform(0.02, 0.3, 2) * side, random.uniform(0, np.pi)
+    size = random.uniform(0.02, 0.3, 2) * side
+    angle = random.uniform(0, np.pi)
     points = np.column_stack([np.cos(turn), np.sin(turn)]) * size
     rotation = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     _fill(canvas, random.uniform(0, side, 2) + points @ rotation)
@@ -109,7 +113,8 @@ def furniture(random: np.random.Generator, side: int) -> FloatArray:
     """Draw something with a seat, a back and thin legs, or a ladder."""
     canvas = np.zeros((side, side), np.float32)
     left, top = random.uniform(-0.1, 0.7, 2) * side
-    wide, high = random.uniform(0.15, 0.45), random.uniform(0.25, 0.7)
+    wide = random.uniform(0.15, 0.45)
+    high = random.uniform(0.25, 0.7)
     width = min(width_px(random), 10 * FINENESS)
     lean = random.normal(0, 0.05)
 
@@ -183,7 +188,8 @@ THINGS: dict[str, Callable[[np.random.Generator, int], FloatArray]] = {
 def leaf(random: np.random.Generator, side: int) -> FloatArray:
     """Draw a single pointed leaf, in the middle."""
     canvas = np.zeros((side, side), np.float32)
-    length, width = side * 0.46, side * random.uniform(0.1, 0.3)
+    length = side * 0.46
+    width = side * random.uniform(0.1, 0.3)
     t = np.linspace(-1, 1, 24)
     bow = width * (1 - t**2) ** random.uniform(0.8, 1.5)
     bend = random.normal(0, 0.1) * side * (1 - t**2)

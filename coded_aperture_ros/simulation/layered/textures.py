@@ -34,7 +34,7 @@ _PICTURES = {
 
 @lru_cache(maxsize=TEXTURE_COUNT)
 def texture(number: int) -> FloatArray:
-    """Return a texture by its number: always the same for the same number.
+    """Texture by its number: always the same for the same number.
 
     Parameters
     ----------
@@ -118,7 +118,8 @@ def _noise(random: np.random.Generator) -> FloatArray:
 
 def _power_law(random: np.random.Generator, slope: float) -> FloatArray:
     shape = (TEXTURE_PX, TEXTURE_PX)
-    stretch, angle = np.exp(random.uniform(0, 1.5) * (random.random() < 0.4)), random.uniform(0, 3)
+    stretch = np.exp(random.uniform(0, 1.5) * (random.random() < 0.4))
+    angle = random.uniform(0, 3)
     rows = np.fft.fftfreq(shape[0])[:, None]
     columns = np.fft.rfftfreq(shape[1])
     along = rows * np.cos(angle) + columns * np.sin(angle)
@@ -204,14 +205,16 @@ def _strokes(random: np.random.Generator) -> FloatArray:
         page = np.zeros(canvas.shape, np.uint8)  # OpenCV 5 writes on bytes only
         for row in range(0, TEXTURE_PX + 30, int(34 * scale)):
             line = "".join(random.choice(list(letters), 60))
-            at, face = (-int(random.integers(50)), row), int(random.integers(0, 8))
+            at = (-int(random.integers(50)), row)
+            face = int(random.integers(0, 8))
             cv2.putText(page, line, at, face, scale, 1, max(1, int(2 * scale)), cv2.LINE_8)
         canvas[:] = page
     else:
         for _ in range(random.integers(100, 700)):
             start = random.integers(0, TEXTURE_PX, 2)
             end = start + random.normal(0, 70, 2).astype(int)
-            tone, width = float(random.normal()), int(random.integers(1, 8))
+            tone = float(random.normal())
+            width = int(random.integers(1, 8))
             cv2.line(canvas, start.tolist(), end.tolist(), tone, width, cv2.LINE_AA)
     return canvas + random.uniform(0.02, 0.5) * float(canvas.std()) * _standard(_noise(random))
 

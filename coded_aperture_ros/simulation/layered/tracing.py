@@ -71,7 +71,7 @@ def lens_samples(mask: Mask, widest_px: float, fewest_cells: int = FEWEST_CELLS)
 
 
 def traced(layers: list[Layer], shape: tuple[int, int], samples: FloatArray) -> FloatArray:
-    """Return the light of layers, nearest first, that reaches a sensor through an aperture.
+    """Light of layers, nearest first, that reaches a sensor through an aperture.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def traced(layers: list[Layer], shape: tuple[int, int], samples: FloatArray) -> 
 
 
 def seen_from_centre(layers: list[Layer], shape: tuple[int, int]) -> FloatArray:
-    """Return the signed blur size of the surface that each pixel's centre shows."""
+    """Signed blur size of the surface that each pixel's centre shows."""
     return np.asarray(_kernels().front(*_packed(layers), *shape))
 
 
@@ -107,7 +107,9 @@ def prefiltered(canvas: FloatArray) -> FloatArray:
 def _packed(layers: list[Layer]) -> tuple[Any, ...]:
     table = np.zeros((len(layers), 5), np.float32)
     sizes = np.zeros((len(layers), 4), np.int64)
-    light, cover, relief = [], [], []
+    light = []
+    cover = []
+    relief = []
     offset = bumps = 0
     for index, layer in enumerate(layers):
         table[index] = (layer.top, layer.left, *layer.blur_px)
@@ -124,7 +126,7 @@ def _packed(layers: list[Layer]) -> tuple[Any, ...]:
 
 
 def compiled(module: str, what: str) -> Any:
-    """Return a module of compiled loops, by its full name; an `InputError` without numba."""
+    """Module of compiled loops, by its full name; an `InputError` without numba."""
     try:
         return import_module(module)
     except ImportError as error:
