@@ -24,7 +24,7 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Work
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel

@@ -17,10 +17,8 @@ from coded_aperture_ros.depth.decoders.regularize import LEARNED, Regularizer, r
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.plan import Plan, SecondFocus
-from coded_aperture_ros.depth.stage import Stage, run
+from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
-from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import Frame, KnownNoise
 from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel
 from coded_aperture_ros.optics import Camera

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
-from coded_aperture_ros.depth.folding import Folding
+from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.depth.quality import Health
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood import Cost

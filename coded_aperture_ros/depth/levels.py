@@ -10,6 +10,39 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
 
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Folding:
+    """Levels of both sides of the focal plane as blur sizes without sign."""
+
+    sizes_px: DoubleArray  # [n]; blur sizes without sign, increasing
+    # [n]; the level of each size beyond and before the focal plane; if there is none, the other
+    # one.
+    far: IndexArray
+    near: IndexArray
+
+    @classmethod
+    def of(cls, sizes_px: DoubleArray) -> "Folding":
+        """Fold the signed blur sizes of a model's levels [L]."""
+        absolute = np.abs(sizes_px)
+        # Sizes of the two sides mirror each other but for rounding.
+        order = np.argsort(absolute)
+        step = np.abs(np.diff(sizes_px)).min()
+        begins = np.flatnonzero(np.diff(absolute[order], prepend=-1.0) > 0.01 * step)
+        groups = np.split(order, begins[1:])
+        far, near = (
+            np.array([group[np.argmax(sign * sizes_px[group])] for group in groups], np.intp)
+            for sign in (1, -1)
+        )
+        return cls(absolute[far], far, near)
+
+    def of_sizes(self, volume: FloatArray) -> FloatArray:
+        """Return the cost of every size, whatever its side [rows, columns, n], from [.., L]."""
+        if len(self.far) == volume.shape[-1]:  # each size is on one side only
+            return volume[..., self.far]
+        return np.minimum(volume[..., self.far], volume[..., self.near])
+
+
 # Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
 _STEPS = 128
 # Depths that differ by this share are as good as each other.

@@ -10,8 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator
-from coded_aperture_ros.depth.stage import Block
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Block, Work
 from coded_aperture_ros.frames import Frame
 
 # After this many times the length of the memory, a frame no longer counts.

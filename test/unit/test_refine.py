@@ -23,7 +23,7 @@ from coded_aperture_ros.depth.decoders.network.features import (
 from coded_aperture_ros.depth.decoders.network.network import NEIGHBOURS, Logits, Network
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
 from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
-from coded_aperture_ros.depth.folding import Folding
+from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack

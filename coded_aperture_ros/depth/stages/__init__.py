@@ -10,8 +10,7 @@ from importlib import import_module
 from typing import cast
 
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage, StageModule
+from coded_aperture_ros.depth.stage import Plan, Stage, StageModule
 from coded_aperture_ros.depth.stages import (
     decode,
     focal_side,

@@ -11,9 +11,7 @@ from coded_aperture_ros.depth.decoders.edges import edge_correction
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS, regularizer
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
 SIDE = LayerSpec(
     "side",

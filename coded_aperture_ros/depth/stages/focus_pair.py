@@ -3,9 +3,7 @@
 import dataclasses
 
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan, SecondFocus
-from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "second_focus"

@@ -4,9 +4,7 @@ import dataclasses
 
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.likelihood import BACKENDS, Likelihood
 
 LAYERS: tuple[LayerSpec, ...] = ()

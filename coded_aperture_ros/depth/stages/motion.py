@@ -3,10 +3,8 @@
 import dataclasses
 
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.depth.work import Work
 
 MOTION = LayerSpec(
     "motion",

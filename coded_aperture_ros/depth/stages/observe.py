@@ -5,9 +5,7 @@ import dataclasses
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Block, Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.frames import grey_image
 
 LAYERS: tuple[LayerSpec, ...] = ()

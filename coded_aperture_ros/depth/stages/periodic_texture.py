@@ -12,9 +12,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank.periodic import periodic_levels

@@ -4,11 +4,9 @@ import dataclasses
 
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked
-from coded_aperture_ros.depth.stage import Stage
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.stages.temporal import TemporalConfig
-from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.likelihood.bank import FilterBank
 
 LAYERS: tuple[LayerSpec, ...] = ()

@@ -15,9 +15,7 @@ from coded_aperture_ros.depth.decoders.network.features import (
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
 SECOND = LayerSpec(
     "second",

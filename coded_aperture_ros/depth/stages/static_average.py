@@ -2,10 +2,8 @@
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Block, Stage
+from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.depth.stages.temporal import TemporalConfig
-from coded_aperture_ros.depth.work import Work
 from coded_aperture_ros.frames import StaticAverage, join_averages
 
 LAYERS: tuple[LayerSpec, ...] = ()

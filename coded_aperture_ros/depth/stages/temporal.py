@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.plan import Plan
-from coded_aperture_ros.depth.stage import Block, Stage
-from coded_aperture_ros.depth.work import Work
+from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import bounded_cost
 

@@ -21,8 +21,7 @@ from coded_aperture_ros.depth.decoders.network.features import (
 from coded_aperture_ros.depth.decoders.network.network import Logits, Network
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
 from coded_aperture_ros.depth.decoders.sides import FocalSides
-from coded_aperture_ros.depth.folding import Folding
-from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.levels import Folding, Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid

@@ -5,7 +5,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
-from coded_aperture_ros.depth.folding import Folding
+from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost, Likelihood
