@@ -16,12 +16,12 @@ from shards import shards_of
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network import network as network_module
-from coded_aperture_ros.depth.decoders.network.calibration import Calibration
 from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.decoders.network.network import (
     SCHEMA,
     SCHEMA_VERSION,
     WEIGHTS,
+    Calibration,
     Network,
 )
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells

@@ -22,8 +22,8 @@ from tqdm import tqdm
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import unsupported_reason
-from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
+from coded_aperture_ros.depth.decoders.network.network import Calibration, log_odds
 from coded_aperture_ros.depth.stage import Work
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, load_mask

@@ -8,23 +8,21 @@ import pytest
 
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
-from coded_aperture_ros.depth.quality.alternatives import (
-    NAMES,
-    alternatives,
-    levels_beyond,
-    own_levels,
-)
-from coded_aperture_ros.depth.quality.evidence import Witness
-from coded_aperture_ros.depth.quality.quantiles import quantiles
+from coded_aperture_ros.depth.quality.evidence import HypothesisTest
+from coded_aperture_ros.depth.quality.health import traces
 from coded_aperture_ros.depth.quality.spectra import (
+    NAMES,
     SLOPES,
     WINDOW_PX,
-    Hypotheses,
+    PsfHypotheses,
+    alternatives,
     frequencies,
+    levels_beyond,
+    negative_log_likelihood,
+    own_levels,
     powers,
-    surprise,
+    quantiles,
 )
-from coded_aperture_ros.depth.quality.traces import traces
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
@@ -70,7 +68,7 @@ def test_expected_spectra_are_those_of_the_bank_s_basis():
     basis = WindowedFourierBasis(WINDOW_PX)
     used = frequencies().used.ravel()
     exact = np.array([basis.expected_power(psf, slope)[used] for slope in SLOPES])
-    found = Hypotheses.of([psf])
+    found = PsfHypotheses.of([psf])
     share = frequencies().share
     # The strongest texture hides the noise.
     power = share / found.weights[-1]
@@ -83,14 +81,14 @@ def test_expected_spectra_are_those_of_the_bank_s_basis():
 def test_a_hypothesis_explains_its_own_texture_best(stack):
     random = np.random.default_rng(3)
     some = [4, 14, 24]
-    hypotheses = Hypotheses.of([stack.psfs[level] for level in some])
+    hypotheses = PsfHypotheses.of([stack.psfs[level] for level in some])
     textures = cv2.GaussianBlur(random.standard_normal((400, 400)), (0, 0), 1.0)
     for number, level in enumerate(some):
         image = cv2.filter2D(textures, -1, stack.psfs[level])[60:-60, 60:-60]
         image = (image / image.std() + 1e-3 * random.standard_normal(image.shape)).astype("f4")
         windows = np.lib.stride_tricks.sliding_window_view(image, (WINDOW_PX,) * 2)[::60, ::60]
         power = powers(windows.reshape(-1, WINDOW_PX, WINDOW_PX)) / 1e-6
-        found = surprise(power.astype(np.float32), hypotheses).min(axis=1)
+        found = negative_log_likelihood(power.astype(np.float32), hypotheses).min(axis=1)
         chosen = found.argmin(axis=1) // len(SLOPES)
         assert (chosen == number).mean() > 0.9
 
@@ -122,23 +120,23 @@ def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):
     frame = recorded(scene.coded())
     unusable = np.zeros(frame.shape, bool)
     unusable[:, :160] = True
-    found = Witness(stack).ask(frame, NOISE, unusable)
+    found = HypothesisTest(stack).score(frame, NOISE, unusable)
     assert found.columns.min() >= 160
     assert found.weight.sum() == pytest.approx(1)
     assert np.isfinite(found.features).all()
-    assert Witness(stack).ask(frame, NOISE, np.ones(frame.shape, bool)) is None
-    assert Witness(stack).ask(frame[:40, :40], NOISE, None) is None
+    assert HypothesisTest(stack).score(frame, NOISE, np.ones(frame.shape, bool)) is None
+    assert HypothesisTest(stack).score(frame[:40, :40], NOISE, None) is None
 
 
 def test_fewer_windows_are_asked_first_and_more_where_these_leave_doubt(stack, scene, monkeypatch):
     asked = []
-    ask = Witness.ask
+    ask = HypothesisTest.score
 
     def counted(self, grey, noise, unusable, cells):
         asked.append(cells)
         return ask(self, grey, noise, unusable, cells)
 
-    monkeypatch.setattr(Witness, "ask", counted)
+    monkeypatch.setattr(HypothesisTest, "score", counted)
     bank = learn_bank(stack, LearnConfig(window_px=48))
     assert health_of(bank, recorded(scene.coded())).health.fits
     assert len(asked) == 1
@@ -261,7 +259,9 @@ def test_what_is_beyond_a_guarded_bank_is_its_own(stack, scene):
     frame = recorded(scene.coded())
     kept = np.abs(stack.blur_sizes_px) < 5
     some = PsfStack(stack.blur_sizes_px[kept], stack.psfs[kept])
-    sizes = [Witness(some, guarded).ask(frame, NOISE, None).size_px.max() for guarded in (0, 1)]
+    sizes = [
+        HypothesisTest(some, guarded).score(frame, NOISE, None).size_px.max() for guarded in (0, 1)
+    ]
     assert sizes[0] < 5 < sizes[1]
 
 

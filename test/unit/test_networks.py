@@ -12,7 +12,7 @@ from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import network as refinement
-from coded_aperture_ros.depth.decoders.network.calibration import Calibration, log_odds
+from coded_aperture_ros.depth.decoders.network.network import Calibration, log_odds
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import Mask, render_psf_stack

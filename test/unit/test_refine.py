@@ -9,8 +9,12 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video, refinement_note
 from coded_aperture_ros.depth.decoders.network import small_bank, unsupported_reason
-from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, HALVINGS, Cells
-from coded_aperture_ros.depth.decoders.network.drawing import upsample_half_cells
+from coded_aperture_ros.depth.decoders.network.cells import (
+    CELL_PX,
+    HALVINGS,
+    Cells,
+    upsample_half_cells,
+)
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,

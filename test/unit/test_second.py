@@ -121,7 +121,7 @@ def test_of_both_sides_and_of_coarse_banks_nothing_is_told(fence):
     assert np.isnan(estimated(both, of_both, frame[:160, :224]).values("second")).all()
     assert "both sides" in refinement_note(of_both, DepthConfig(second_surface=True))
     assert refinement_note(of_both, DepthConfig()) is None
-    with pytest.raises(InputError, match="second_surface: use false, only regularize: learned"):
+    with pytest.raises(InputError, match="second_surface: needs regularize: learned"):
         DepthConfig(second_surface=True, regularize="semiglobal")
 
 

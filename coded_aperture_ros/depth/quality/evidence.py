@@ -9,20 +9,18 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.quality.alternatives import (
-    NAMES,
-    alternatives,
-    levels_beyond,
-    own_levels,
-)
-from coded_aperture_ros.depth.quality.quantiles import quantiles
 from coded_aperture_ros.depth.quality.spectra import (
+    NAMES,
     SLOPES,
     WINDOW_PX,
-    Hypotheses,
+    PsfHypotheses,
+    alternatives,
     frequencies,
+    levels_beyond,
+    negative_log_likelihood,
+    own_levels,
     powers,
-    surprise,
+    quantiles,
 )
 from coded_aperture_ros.frames.patches import PatchGrid, mean_at
 from coded_aperture_ros.optics import PsfStack
@@ -31,7 +29,7 @@ from coded_aperture_ros.optics import PsfStack
 _STRIDE_PX, _FEWEST = 8, 4
 _BLUR_PX = 15
 _TOLERATED = 0.005
-# In hundredths of a unit of surprise: 1 is far more than chance for one window.
+# In hundredths of a unit of negative_log_likelihood: 1 is far more than chance for one window.
 _BETTER, _MOST, _EXTREME = 0.3, 6.0, 10.0
 _ABSENT = -2.0
 _LARGEST_RESIDUAL = 12.0
@@ -55,7 +53,7 @@ class Evidence:
     weight: DoubleArray  # [n]; how much each tells; the sum is 1
 
 
-class Witness:
+class HypothesisTest:
     """Compares the levels of a bank with what the lens may be instead; see `alternatives`.
 
     With `guarded`, the ends of the bank stand for all that is beyond them, which is its own then.
@@ -67,14 +65,14 @@ class Witness:
         if guarded:
             own = own.with_others(beyond)
         elif beyond.psfs:
-            others["beyond"] = Hypotheses.of(beyond.psfs)
-        self._sizes_px, self._own = own.sizes_px, Hypotheses.of(own.psfs)
+            others["beyond"] = PsfHypotheses.of(beyond.psfs)
+        self._sizes_px, self._own = own.sizes_px, PsfHypotheses.of(own.psfs)
         groups = [others[name] for name in NAMES if name in others]
-        self._others = Hypotheses.joined(groups)
+        self._others = PsfHypotheses.joined(groups)
         self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
         self._present = np.flatnonzero([name in others for name in NAMES])
 
-    def ask(
+    def score(
         self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
     ) -> Evidence | None:
         """Return what the windows of a frame say; None if there are too few.
@@ -90,11 +88,11 @@ class Witness:
             np.s_[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in zip(tops, lefts, strict=True)
         ]
         power = powers(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
-        surprises = surprise(power, self._own)
-        best = surprises.reshape(len(power), -1).argmin(axis=1)
-        contrast, kind = np.unravel_index(best, surprises.shape[1:])
+        scores = negative_log_likelihood(power, self._own)
+        best = scores.reshape(len(power), -1).argmin(axis=1)
+        contrast, kind = np.unravel_index(best, scores.shape[1:])
         level, slope = np.divmod(kind, len(SLOPES))
-        least = surprises[np.arange(len(power)), contrast, kind]
+        least = scores[np.arange(len(power)), contrast, kind]
         better = self._better(power, least, contrast)
         # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
         share = frequencies().share
@@ -142,7 +140,7 @@ class Witness:
         With about the contrasts that explain windows best: others cost time, and tell nothing.
         """
         found = np.full((len(power), len(NAMES)), _ABSENT, np.float32)
-        each = surprise(power, self._others.about(contrast)).min(axis=1)
+        each = negative_log_likelihood(power, self._others.about(contrast)).min(axis=1)
         best = np.minimum.reduceat(each, self._starts, axis=1)
         found[:, self._present] = 100 * (least[:, None] - best)
         return found

@@ -4,14 +4,15 @@ import dataclasses
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
 
+import cv2
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.quality.evidence import Evidence, Witness
-from coded_aperture_ros.depth.quality.quantiles import quantiles
-from coded_aperture_ros.depth.quality.traces import traces
+from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
+from coded_aperture_ros.depth.quality.spectra import quantiles
+from coded_aperture_ros.frames.noise import ALTERNATING, HALF_AS_FAST
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA, SCHEMA_VERSION = "coded-aperture check of fit", 1
@@ -184,7 +185,7 @@ class FitCheck:
         part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
         unusable = None if seen.unusable is None else seen.unusable[part]
         for cells in _CELLS:
-            windows = self._witness.ask(grey[part], noise, unusable, cells)
+            windows = self._test.score(grey[part], noise, unusable, cells)
             if windows is not None:
                 at = windows.rows + top, windows.columns + left
                 windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
@@ -225,11 +226,122 @@ class FitCheck:
         ]
 
     @cached_property
-    def _witness(self) -> Witness:
-        return Witness(self._stack, self._guarded)
+    def _test(self) -> HypothesisTest:
+        return HypothesisTest(self._stack, self._guarded)
 
 
 def _health_of(outputs: FloatArray) -> Health:
     value = float(1 / (1 + np.exp(-outputs[0])))
     cause = list(CAUSES)[int(outputs[1:].argmax())]
     return Health(value, "" if value >= FITS else cause)
+
+
+_USUAL_NOISE = 2e-3
+_NOISE_PX, _LEAST = 24, 2e-5
+_BLOCKS_PX = (8, 16)
+_CLIPPED = 0.985
+_BAND_PX, _BANDS = 48, 3
+
+
+def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
+    """Return numbers about a frame [rows, columns] that do not depend on the mask.
+
+    `noise` is the standard deviation that is reckoned with, `known` what was known of it
+    beforehand; 0: nothing.
+    """
+    # Of a large frame some bands of rows tell enough.
+    step_px = max(len(grey) // _BANDS, _BAND_PX)
+    bands = [grey[top : top + _BAND_PX] for top in range(0, len(grey) - _NOISE_PX, step_px)]
+    return [
+        *_noise(bands, noise, known),
+        *_block_grid(grey, noise),
+        *_values(grey),
+        *_lines(grey, noise),
+        _mosaic(grey),
+        _lonely(bands, noise),
+    ]
+
+
+def _noise(bands: list[FloatArray], noise: float, known: float) -> list[float]:
+    """Return its colour, its size, and how that compares with what was known."""
+    found = []
+    for kernel in (ALTERNATING, HALF_AS_FAST):
+        some = []
+        for band in bands:
+            square = cv2.sepFilter2D(band, -1, kernel, kernel)
+            cv2.multiply(square, square, square)
+            # Squares that overlap by half, of two by two blocks each.
+            size = [max(length // (_NOISE_PX // 2), 2) for length in band.shape[::-1]]
+            blocks = cv2.resize(square, size, interpolation=cv2.INTER_AREA)
+            some.append(cv2.blur(blocks, (2, 2))[1:, 1:].ravel())
+        found += list(np.sqrt(quantiles(np.concatenate(some), 0.05, 0.5)) + _LEAST)
+    high, high_median, half_high, half_median = found
+    unlike = np.log(high / known) if known else 0.0
+    return [
+        np.log(high / half_high),
+        np.log(high_median / half_median),
+        np.log(high / _USUAL_NOISE),
+        np.log(noise / _USUAL_NOISE),
+        unlike,
+        abs(unlike),
+        float(known > 0),
+    ]
+
+
+def _block_grid(grey: FloatArray, noise: float) -> list[float]:
+    """Return how much more neighbours differ at one place in 8, and in 16, than at the others."""
+    found = []
+    step = _step(grey)
+    for lines in (np.ascontiguousarray(grey[:, ::step].T), grey[::step]):
+        steps = cv2.absdiff(lines[:, 1:], lines[:, :-1])
+        profile = np.minimum(steps, 4 * noise + np.median(steps[::4, ::4])).mean(axis=0)
+        for block in _BLOCKS_PX:
+            phases = profile[: len(profile) // block * block].reshape(-1, block).mean(0)
+            found.append(np.log(max(phases.max(), 1e-9) / max(quantiles(phases, 0.5)[0], 1e-9)))
+    return found
+
+
+def _values(grey: FloatArray) -> list[float]:
+    """Return how many pixels are alike, clipped or black, and how many values there are."""
+    step = _step(grey)
+    rows, some = np.ascontiguousarray(grey[::step]), grey[:: step + step // 2, :: step + step // 2]
+    steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
+    values = np.count_nonzero(np.bincount((np.clip(some.ravel(), 0, 2) * 65535 + 0.5).astype(int)))
+    brightest = float(grey.max())
+    bright = _CLIPPED, 0.9 * brightest
+    return [  # shares by counting, which is several times as fast as a mean
+        *(np.count_nonzero(steps < least) / steps.size for least in (1e-7, 2e-4)),
+        *(np.count_nonzero(rows > least) / rows.size for least in bright),
+        brightest,
+        np.log(max(float(grey.mean()), 0) + 1e-3),
+        np.count_nonzero(rows <= 1e-6) / rows.size,
+        np.log(values / some.size),
+    ]
+
+
+def _lines(grey: FloatArray, noise: float) -> list[float]:
+    """Return how uneven rows and columns are, beside what noise makes of them."""
+    found = []
+    for axis in (0, 1):
+        line = grey.mean(1 - axis)
+        uneven = np.abs(line[2:] - 2 * line[1:-1] + line[:-2]).mean()
+        found.append(np.log(uneven * np.sqrt(grey.shape[1 - axis]) / noise + 1e-3))
+    return found
+
+
+def _mosaic(grey: FloatArray) -> float:
+    """Return how much the four places of every square of two by two pixels differ."""
+    lines = [grey[row::2].mean(axis=0) for row in (0, 1)]
+    means = [line[column::2].mean() for line in lines for column in (0, 1)]
+    return float(np.log(1e-4 + np.std(means) / max(np.mean(means), 1e-9)))
+
+
+def _lonely(bands: list[FloatArray], noise: float) -> float:
+    """Return how many pixels are unlike all around them."""
+    away = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
+    return float(np.log(1e-5 + np.mean([np.count_nonzero(each) / each.size for each in away])))
+
+
+def _step(grey: FloatArray) -> int:
+    """Return at which distance rows and columns are enough of them: of a larger frame, fewer."""
+    return max(2, min(grey.shape) // 96)

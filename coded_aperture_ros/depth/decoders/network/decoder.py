@@ -7,8 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.cells import Cells
-from coded_aperture_ros.depth.decoders.network.drawing import HALF_CELL_PX, Drawing
+from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells, Drawing
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     BLUR_STEP_PX,

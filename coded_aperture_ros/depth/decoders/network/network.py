@@ -1,22 +1,97 @@
 """Runs the network that ships with the package."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.calibration import Calibration
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
     KINDS,
     SCALARS,
 )
-from coded_aperture_ros.depth.decoders.network.layout import add_up, at_half_cells, put_in_squares
+
+
+def _put_loop(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
+    count, _, rows, columns = squares.shape
+    for n in range(count):
+        channel = channels[n]
+        for i in range(rows):
+            for down in range(2):
+                for j in range(columns):  # both at once: they lie side by side
+                    squares[n, 2 * down, i, j] = cells[channel, 2 * i + down, 2 * j]
+                    squares[n, 2 * down + 1, i, j] = cells[channel, 2 * i + down, 2 * j + 1]
+
+
+def _put_plain(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
+    for quarter in range(4):
+        squares[:, quarter] = cells[channels, quarter // 2 :: 2, quarter % 2 :: 2]
+
+
+# Puts some channels [n] of cells [channels, rows, columns], those of 2 x 2 cells side by side, into
+# squares [n, 4, rows / 2, columns / 2].
+put_in_squares = Compiled(_put_loop, _put_plain)
+
+
+def at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
+    """Put groups of four channels side by side: [4 n, rows, columns] to [n, 2 rows, 2 columns]."""
+    count, rows, columns = of_cells.shape
+    whole = np.empty((count // 4, 2 * rows, 2 * columns), of_cells.dtype)
+    for quarter in range(4):
+        whole[:, quarter // 2 :: 2, quarter % 2 :: 2] = of_cells[quarter::4]
+    return whole
+
+
+def _add_up_loop(
+    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
+) -> None:
+    count, rows, columns = costs.shape
+    line, far, near = np.empty(columns + 2, np.float32), np.float32(0.25), np.float32(0.75)
+    for b in range(count):
+        for y in range(2 * first, 2 * (first + cells.shape[1])):
+            i, down = y // 2, y % 2
+            beside = min(max(i + 2 * down - 1, 0), rows - 1)
+            for j in range(columns):
+                line[1 + j] = near * costs[b, i, j] + far * costs[b, beside, j]
+            line[0], line[columns + 1] = line[1], line[columns]
+            left, right = cells[4 * b + 2 * down, i - first], cells[4 * b + 2 * down + 1, i - first]
+            of_left, of_right, s = 8 * down + 2 * (i % 2), 8 * down + 2 * (i % 2) + 4, i // 2
+            for c in range(columns // 2):
+                j, x = 2 * c, 4 * c
+                before, here, then, after = line[j], line[j + 1], line[j + 2], line[j + 3]
+                less, more = near * here + far * before, near * here + far * then
+                size[b, y, x] = left[j] + squares[b, of_left, s, c] - less
+                size[b, y, x + 1] = right[j] + squares[b, of_right, s, c] - more
+                less, more = near * then + far * here, near * then + far * after
+                size[b, y, x + 2] = left[j + 1] + squares[b, of_left + 1, s, c] - less
+                size[b, y, x + 3] = right[j + 1] + squares[b, of_right + 1, s, c] - more
+
+
+def _add_up_plain(
+    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
+) -> None:
+    end = first + cells.shape[1]
+    around = np.clip(np.arange(first - 1, end + 1), 0, costs.shape[1] - 1)
+    for b, cost in enumerate(costs):
+        of_cells = cells[4 * b : 4 * b + 4] + at_half_cells(squares[b, :16, first // 2 : end // 2])
+        less = cv2.resize(cost[around], None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        size[b, 2 * first : 2 * end] = at_half_cells(of_cells)[0] - less[2:-2]
+
+
+# Writes logits of the half-cells [>= n, 2 rows, 2 columns] of some rows of cells, from an even one
+# on: what there is of them [>= 4 n, some rows, columns] and of all squares [n, >= 16, rows / 2,
+# columns / 2], less the costs of all cells [n, rows, columns], linear between their middles.
+add_up = Compiled(_add_up_loop, _add_up_plain)
+
 
 WEIGHTS = "refinement.npz"
 # Neighbours around a half-cell, with itself, that a quarter of it may belong to.
@@ -148,3 +223,65 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
         np.maximum(which, better * np.uint8(index), out=which)
         np.maximum(best, logits[:, index], out=best)
     return which
+
+
+# Of weights' files that state none: fitted for the weights of the time.
+_FORMER_COEFFICIENTS = (-0.58, 1.45, 0.071, -0.5)
+_FORMER_DEVIATION = 0.78
+# Probabilities are taken as at least so far from 0 and 1: their logarithm must be finite.
+_SURE = 1e-3
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Calibration:
+    """What makes a confidence and a standard deviation of the network's probabilities.
+
+    Fitted on random scenes kept apart, by `training/train.py refinement calibrate`. The network
+    doubts wide blur too much, and too little what may be wrong by many pixels.
+
+    Attributes
+    ----------
+    coefficients : ndarray, float32 [4]
+        Of the logarithm of the odds that a depth is right: a constant, and the factors of the
+        logarithm of the network's odds, of the blur size in px, and of the logarithm of the
+        tolerance in px.
+    deviation : float32
+        Factor of the standard deviation of the network's blur sizes.
+    """
+
+    coefficients: FloatArray
+    deviation: np.float32
+
+    @classmethod
+    def from_weights(cls, arrays: Mapping[str, NDArray[Any]]) -> "Calibration":
+        """Calibration in a weights' file (`calibration`, `deviation`); files may lack it."""
+        coefficients = arrays.get("calibration", np.array(_FORMER_COEFFICIENTS))
+        deviation = arrays.get("deviation", np.array(_FORMER_DEVIATION))
+        return cls(as_floats(coefficients), np.float32(deviation))
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays of the weights' file, by their names."""
+        return {"calibration": self.coefficients, "deviation": np.array(self.deviation)}
+
+    def confidence(
+        self, probability: FloatArray, size_px: FloatArray, tolerance_px: FloatArray
+    ) -> FloatArray:
+        """Probability that depths are right, 0 to 1.
+
+        Parameters
+        ----------
+        probability : ndarray, float32
+            Network's probability of an error below the tolerance.
+        size_px, tolerance_px : ndarray, float32
+            Blur size, and its largest error of a right depth.
+        """
+        offset, of_odds, of_size, of_tolerance = self.coefficients
+        odds = log_odds(probability)
+        found = offset + of_odds * odds + of_size * size_px + of_tolerance * np.log(tolerance_px)
+        return np.asarray(1 / (1 + np.exp(-found)), np.float32)
+
+
+def log_odds(probability: FloatArray) -> FloatArray:
+    """Natural logarithm of the odds of a probability, float32."""
+    certain = np.clip(probability, _SURE, 1 - _SURE)
+    return np.asarray(np.log(certain / (1 - certain)), np.float32)

@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.layout import at_half_cells
-from coded_aperture_ros.depth.decoders.network.network import Logits
+from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_cells
 
 # The blur size is the mean over so many bins on either side of the likeliest.
 REACH = 2

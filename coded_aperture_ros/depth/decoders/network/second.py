@@ -9,8 +9,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.decoders.network.layout import at_half_cells
-from coded_aperture_ros.depth.decoders.network.network import Logits
+from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_cells
 
 WEIGHTS = "second.npz"
 SCHEMA, SCHEMA_VERSION = "coded-aperture second surface network", 1
