@@ -43,17 +43,18 @@ def main() -> None:
     pictures = []
     for index in range(FRAMES):
         view = scene.frame(index * PERIOD_S / FRAMES)
-        result = pipeline(view.coded)
+        estimate = pipeline(view.coded)
+        sharp = pipeline.deblur(view.coded, estimate)
         rows = [
             [
                 ("coded frame", shown(view.coded)),
                 (
                     "depth (hatched: unknown)",
-                    small(depth_picture(result.depth.depth_m, NEAR_M, FAR_M)),
+                    small(depth_picture(estimate.depth_m, NEAR_M, FAR_M)),
                 ),
             ],
             [
-                ("all in focus", shown(result.all_in_focus)),
+                ("all in focus", shown(sharp)),
                 ("true depth", small(depth_picture(view.depth_m, NEAR_M, FAR_M))),
             ],
         ]

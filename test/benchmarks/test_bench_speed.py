@@ -68,12 +68,13 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     levels_by = {(row["stride_px"], row["regularize"]) for row in results["grid"]}
     assert levels_by == {(8, "semiglobal"), (8, "learned"), (16, "semiglobal")}
     for row in results["grid"]:
-        assert ("refine" in row["stages"]) == (row["regularize"] == "learned")
+        assert ("small patches" in row["stages"]) == (row["regularize"] == "learned")
     assert all(row["engine_of_gemm"] > 0 for row in results["grid"])
     main = results["main"]
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
     assert list(main["stages"]) == [
-        *("prepare", "average", "spectra", "energies", "temporal", "regularise", "map")
+        *("observe", "static average", "spectra", "energies", "likelihood", "temporal", "decode"),
+        *("quality of fit", "periodic texture", "unknown", "metric", "motion"),
     ]
     for times in (*main["stages"].values(), main["engine"], main["total"]):
         assert times["samples"] == 5
@@ -99,7 +100,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
 def test_tables_name_what_was_measured(small, capsys, monkeypatch):
     monkeypatch.setattr(baselines, "find_spec", lambda name: None)  # PyMaxflow is not everywhere
     results = results_of(capsys, "--temporal", 0, "--full-size")
-    assert not {"average", "temporal"} & set(results["main"]["stages"])
+    assert not {"static average", "temporal"} & set(results["main"]["stages"])
     assert results["comparison"]["denoising"] is None
     assert results["comparison"]["graph_cut"] is None
     text = _text(results)

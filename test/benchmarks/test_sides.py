@@ -12,13 +12,20 @@ from coded_aperture_benchmarks.datasets.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator, side_warning
+from coded_aperture_ros.depth import (
+    DepthConfig,
+    DepthEstimate,
+    DepthEstimator,
+    Layer,
+    side_warning,
+)
 from coded_aperture_ros.depth.decoders.sides import (
     SideFinder,
     far_log_odds,
     given_side,
     side_confidence,
 )
+from coded_aperture_ros.depth.stages.decode import SIDE
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
@@ -75,7 +82,7 @@ def coded(texture, mask, size_px, seed=0):
 
 
 def grid_of(estimator, frame):
-    return estimator.observe(frame).grid
+    return estimator.run_front(frame).observation.grid
 
 
 def test_the_range_may_hold_the_focus_with_side_both_only(camera):
@@ -149,7 +156,7 @@ def test_texture_without_phases_tells_nothing(bank, camera):
     texture = 0.5 + 0.1 * texture[: ROWS + 40, : COLUMNS + 40] / texture.std()
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0), camera)
     said = [
-        estimator.estimate(coded(texture, camera.mask, size, seed)).side_confidence.mean()
+        estimator.estimate(coded(texture, camera.mask, size, seed)).values("side").mean()
         for seed, size in enumerate((-7.0, 7.0))
     ]
     assert max(said) < 0.8
@@ -167,9 +174,10 @@ def test_depth_on_both_sides(bank, camera, picture):
             assert right.mean() > 0.95
             depth_m = float(camera.depth_m(size))
             assert np.median(estimate.depth_m[known]) == pytest.approx(depth_m, rel=0.04)
-            assert estimate.side_confidence.shape == estimate.confidence.shape
-            assert (estimate.confidence <= estimate.side_confidence + 1e-6)[known].all()
-    assert "side" in estimate.seconds
+            side = estimate.values("side")
+            assert side.shape == estimate.confidence.shape
+            assert (estimate.confidence <= side + 1e-6)[known].all()
+    assert "focal side" in estimate.seconds
 
 
 def test_a_scene_across_the_focal_plane(bank, camera, picture):
@@ -205,8 +213,8 @@ def test_one_side_is_as_before(camera, picture):
     estimator = DepthEstimator(bank, DepthConfig(), one)
     estimate = estimator.estimate(coded(picture[0], camera.mask, 6.0))
     assert not bank.stack.has_both_sides
-    assert estimate.side_confidence is None
-    assert "side" not in estimate.seconds
+    assert estimate.values("side") is None
+    assert "focal side" not in estimate.seconds
 
 
 @pytest.mark.parametrize("mask", ["levin", "disc", "annulus", "four_hole", "two_hole"])
@@ -217,7 +225,7 @@ def test_a_symmetric_mask_cannot_tell_and_says_so(mask, picture):
     assert "same after half a turn" in side_warning(bank) and "\n" not in side_warning(bank)
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0), camera)
     estimate = estimator.estimate(coded(picture[0], camera.mask, 7.0))
-    assert estimate.side_confidence == pytest.approx(0.5, abs=0.01)
+    assert estimate.values("side") == pytest.approx(0.5, abs=0.01)
     depth = estimate.where_confident(DepthConfig().confidence_threshold).depth_m
     # What is left is near the focal plane, where both sides are about as far.
     assert np.isfinite(depth).mean() < 0.1
@@ -314,10 +322,15 @@ def test_a_wrong_side_is_scored_as_one(camera):
     truth = np.full((4, 5), 6.0, np.float32)
     frame = SideFrame(truth, truth, np.full_like(truth, 2.5))
     sizes = np.where(np.arange(5) < 4, 6.0, -6.0) * np.ones((4, 1))
-    estimates = dataclasses.make_dataclass(
-        "Estimate", ["blur_size_px", "depth_m", "confidence", "side_confidence"]
-    )(sizes, np.full((4, 5), 2.5), np.full((4, 5), 0.7), np.full((4, 5), 0.9))
-    score = SideScore.of([SideEstimates(frame, estimates, truth, frame.depth_m)], 1.0, 0.55)
+    estimate = DepthEstimate(
+        level=np.zeros((4, 5), np.float32),
+        blur_size_px=sizes,
+        depth_m=np.full((4, 5), 2.5),
+        confidence=np.full((4, 5), 0.7),
+        noise=NOISE,
+        layers={"side": Layer(SIDE, np.full((4, 5), 0.9))},
+    )
+    score = SideScore.of([SideEstimates(frame, estimate, truth, frame.depth_m)], 1.0, 0.55)
     assert score.right == score.confident_right == pytest.approx(0.8)
     assert score.level_error == pytest.approx(0.2 * 12)
     assert (score.oracle_level_error, score.confident, score.within) == (0, 1, 1)

@@ -328,15 +328,17 @@ def test_a_camera_info_of_other_proportions_is_told_and_not_used(ros, model, cod
         assert wait_until(lambda name=name: warnings_of(reports, name))
 
 
-def test_motion_is_offered_only_by_the_method_that_finds_it(ros, model, coded):
-    chain = Chain(ros, model, subscribe=())
-    ros.subscribe("depth/motion", Image)
-    assert ros.probe.count_publishers("depth/motion") == 0
-    assert wait_until(lambda: chain.images.get_subscription_count() == 0)
+def test_layers_that_are_not_found_are_offered_and_stay_silent(ros, model, coded):
+    """Whatever the method and the levels: what finds them may come by a parameter."""
+    layers = ("depth/motion", "depth/motion/confidence", "depth/side")
+    chain = Chain(ros, model, ("depth/image", *layers))
+    for topic in layers:
+        assert ros.probe.count_publishers(topic) == 1
     for _ in range(3):
-        chain.images.publish(mono8(coded))
+        chain.result(mono8(coded))
     time.sleep(0.3)
-    assert chain.node.statistics.summary().received == 0
+    assert [len(chain.received[topic]) for topic in layers] == [0, 0, 0]
+    assert len(chain.received["depth/image"]) == 3 and not chain.rejected
 
 
 def test_parameters_are_set_as_by_ros2_param_set(ros, model):
@@ -461,13 +463,13 @@ def test_a_resized_frame_is_accepted(ros, model, coded, learned_here):
 
 
 def test_compressed_frames_are_taken_to_be_noisier(ros, model, coded, monkeypatch):
-    heard, observe = [], DepthEstimator.observe
+    heard, estimate = [], DepthEstimator.estimate
 
-    def listen(estimator, frame, hidden_noise):
-        heard.append(hidden_noise)
-        return observe(estimator, frame, hidden_noise)
+    def listen(estimator, frame, size):
+        heard.append(frame.compression_noise)
+        return estimate(estimator, frame, size)
 
-    monkeypatch.setattr(DepthEstimator, "observe", listen)
+    monkeypatch.setattr(DepthEstimator, "estimate", listen)
     node = ros.make(DepthNode, {**model, "image_transport": "compressed"})
     depths = ros.subscribe("depth/image", Image)
     frames = ros.publisher("image_raw/compressed", CompressedImage)

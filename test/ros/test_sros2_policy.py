@@ -16,7 +16,6 @@ NODES = {"camera_driver_node": CameraDriverNode, "depth_node": DepthNode, "deblu
 # What a node may do, but does not with the parameters of this test.
 OTHER_SETTINGS = {
     "/clock",
-    "/depth/motion",
     "/image_raw/compressed",
     "/imu",
     "/parameter_events",

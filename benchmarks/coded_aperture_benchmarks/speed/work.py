@@ -5,7 +5,8 @@
   leaves its results there once. Beside these only the horizontal transform is counted, which is
   larger than a cache and kept between the two passes of the spectra. What a thread keeps for a row
   of patches, the path costs of the regularisation and the constant matrices are taken to stay in
-  the caches. Both numbers are thus lower bounds, and so is the time that follows from them.
+  the caches, and what the small stages after the decoding move is not counted. Both numbers are
+  thus lower bounds, and so is the time that follows from them.
 """
 
 import dataclasses
@@ -19,9 +20,9 @@ from coded_aperture_ros.likelihood import Plan
 from coded_aperture_ros.likelihood.bank import FilterBank
 
 ENGINE_STAGES = ("spectra", "energies")
-TEMPORAL_STAGES = ("average", "temporal")
+TEMPORAL_STAGES = ("static average", "temporal")
 # The stages whose work grows with the levels.
-LEVEL_STAGES = ("energies", "temporal", "regularise")
+LEVEL_STAGES = ("energies", "temporal", "decode")
 
 
 def flop_of_spectra(plan: Plan) -> float:
@@ -74,15 +75,20 @@ class FrameWork:
         horizontal = floats * plan.pixel_rows * len(plan.horizontal) * plan.grid.columns
         functions = floats * patches * len(plan.features)
         costs = floats * patches * bank.levels
-        maps = 5 * floats * size[0] * size[1]  # level, blur size, depth, confidence, deviation
+        one_map = floats * size[0] * size[1]
         stages = {
-            "prepare": frame,
-            "average": 3 * frame,  # with the mean, before and after
+            "observe": frame,
+            "static average": 3 * frame,  # with the mean, before and after
             "spectra": frame + 2 * horizontal + functions,
             "energies": frame + functions + costs,  # with the noise of the frame
+            "likelihood": 0,  # beside spectra and energies
             "temporal": 4 * costs,  # with that of the past, before and after
-            "regularise": costs,
-            "map": costs + maps,
+            "decode": 2 * costs + 3 * one_map,  # level, deviation, confidence
+            "quality of fit": 0,
+            "periodic texture": 0,
+            "unknown": 0,
+            "metric": 2 * one_map,  # blur size, depth
+            "motion": 0,
         }
         if not setting.temporal_frames:
             stages = {name: count for name, count in stages.items() if name not in TEMPORAL_STAGES}

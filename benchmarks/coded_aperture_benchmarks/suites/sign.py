@@ -92,7 +92,7 @@ def measure(cell: Cell) -> Measured:
     estimates, seconds = [], []
     for frame in frames:
         estimates.append(estimators.estimate(frame))
-        seconds.append(estimates[-1].both.seconds["side"])
+        seconds.append(estimates[-1].both.seconds["focal side"])
     threshold = estimators.threshold
     score = SideScore.of(estimates, estimators.step_px, threshold)
     row = {

@@ -200,7 +200,7 @@ def _size_table(sizes: Row) -> str:
 def _level_table(levels: Row) -> str:
     described = {"levels": "{levels:.0f}", **_TOTAL, "of levels p50": "{level_stages_p50_ms:.1f}"}
     title = (
-        "time ~ levels^{exponent:.2f} (energies, temporal and regularise "
+        "time ~ levels^{exponent:.2f} (energies, temporal and decode "
         "{exponent_of_level_stages:.2f}); ms"
     ).format_map(levels)
     return f"{title}\n{columns(levels['rows'], described)}"
@@ -230,7 +230,7 @@ def _comparison_table(comparison: Row) -> str:
     ]
     if denoising:
         own = _milliseconds(denoising["still_and_temporal"])
-        rows.append(["average + temporal", *own, "", ""])
+        rows.append(["static average + temporal", *own, "", ""])
         rows += [
             _compared(
                 f"fastNlMeansDenoisingMulti, {row['frames']} frames", row["times"], row["ratio"]
@@ -244,7 +244,7 @@ def _comparison_table(comparison: Row) -> str:
         for key, name, _ in named
     ]
     if cut := comparison["graph_cut"]:
-        rows.append(["regularise: semiglobal", *_milliseconds(cut["semiglobal"]), "", ""])
+        rows.append(["decode: semiglobal", *_milliseconds(cut["semiglobal"]), "", ""])
         rows.append(_compared("graph cut", cut["graphcut"], cut["ratio"]))
     else:
         notes.append("graph cut: not measured, PyMaxflow is not installed")
