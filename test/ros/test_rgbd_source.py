@@ -27,7 +27,7 @@ SHAPE = (48, 64)
 def test_an_rgbd_pair_becomes_a_coded_frame_with_its_truth(ros, tmp_path, encoding):
     camera_file = tmp_path / "camera.yaml"
     camera_file.write_text(yaml.safe_dump(TINY))
-    parameters = {"camera_file": str(camera_file), "source": "rgbd", "noise": 0.0}
+    parameters = {"camera_file": str(camera_file), "source": "rgbd", "simulation.noise": 0.0}
     parameters |= {"encoding": "mono16", "publish_clock": True}
     ros.make(CameraDriverNode, parameters)
     coded, truth = ros.subscribe("image_raw", Image), ros.subscribe("ground_truth/depth", Image)

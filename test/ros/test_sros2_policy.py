@@ -55,7 +55,7 @@ def done(tmp_path_factory):
     camera_file.write_text(yaml.safe_dump(CAMERA))
     given = {"camera_file": str(camera_file)}
     driver = {**given, "base.frame": "base_link", "source": "rgbd", "publish_clock": True}
-    worker = {**given, "near_m": NEAR_M, "far_m": FAR_M, "levels": 6, "lazy": False}
+    worker = {**given, "near_m": NEAR_M, "far_m": FAR_M, "learn.level_count": 6, "lazy": False}
     worker |= {"learn.window_px": 32, "learn.rank": 16}
     ros = Ros()
     graph = {}
