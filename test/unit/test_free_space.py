@@ -155,7 +155,7 @@ def test_field_curvature_moves_the_bound_with_the_depth(truth_m):
 
 
 def test_what_gives_no_bound_is_refused():
-    with pytest.raises(InputError, match="free_space_risk: use 0, only regularize: learned gives"):
+    with pytest.raises(InputError, match="free_space_risk: needs regularize: learned"):
         DepthConfig(regularize="semiglobal", free_space_risk=0.01)
     with pytest.raises(InputError, match="free_space_risk"):
         DepthConfig(free_space_risk=0.2)
