@@ -48,10 +48,7 @@ def main() -> None:
         rows = [
             [
                 ("coded frame", shown(view.coded)),
-                (
-                    "depth (hatched: unknown)",
-                    small(depth_picture(estimate.depth_m, NEAR_M, FAR_M)),
-                ),
+                ("depth (hatched: unknown)", small(depth_picture(estimate.depth_m, NEAR_M, FAR_M))),
             ],
             [
                 ("all in focus", shown(sharp)),

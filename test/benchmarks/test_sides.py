@@ -12,13 +12,7 @@ from coded_aperture_benchmarks.datasets.textures import load_textures
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import (
-    DepthConfig,
-    DepthEstimate,
-    DepthEstimator,
-    Layer,
-    side_warning,
-)
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, Layer, side_warning
 from coded_aperture_ros.depth.decoders.sides import (
     SideFinder,
     far_log_odds,

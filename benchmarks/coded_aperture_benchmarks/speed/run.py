@@ -239,8 +239,7 @@ class SpeedBenchmark:
         run = self._runs["main", None]
         temporal = self.setting.temporal_frames
         regularising = {
-            how: self._runs["regularize", how].stage_times("decode")
-            for how in ways_to_regularise()
+            how: self._runs["regularize", how].stage_times("decode") for how in ways_to_regularise()
         }
         return {
             "thesis": self._thesis.results(run.stage_times(*ENGINE_STAGES)),
