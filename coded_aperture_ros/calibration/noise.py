@@ -94,7 +94,7 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
     0.01
     """
     if len(frames) < 2:
-        raise InputError("one frame does not tell noise from texture: give two or more of the same")
+        raise InputError("one frame only: give two or more of the same scene")
     arrays = [np.asarray(frame, np.float64) for frame in frames]
     for number, array in enumerate(arrays[1:], start=2):
         if array.shape != arrays[0].shape:
@@ -110,12 +110,12 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
             "needed: change the exposure"
         )
     if not squares.any():
-        raise InputError("the frames are equal: take each one anew")
+        raise InputError("the frames are equal: record each one separately")
     light, variance = _binned(light, squares, steep)
     dark, gain, fit_error = _robust_line(light, variance)
     if fit_error > _MAX_FIT_ERROR:
         raise InputError(
-            f"the noise does not go by the light as a sensor's does ({100 * fit_error:.0f} % off): "
+            f"the noise does not follow the light as a sensor's does ({100 * fit_error:.0f} % off): "
             "something moved between the frames, or they are not linear light (gamma)"
         )
     darkest = float(light[0])

@@ -63,7 +63,7 @@ def filled_blur_map(blur_size_px: FloatArray, frame: FloatArray, reduction: int 
         blur = _downsample(blur, (columns, rows))  # first: then there is less to fill
     known = np.isfinite(blur)
     if not known.any():
-        raise InputError("blur map: no pixel has a known depth, so there is nothing to deblur by")
+        raise InputError("blur map: no pixel has a known depth, so the frame cannot be deblurred")
     if not known.all():
         blur = np.where(known, blur, blur[known][nearest_index(known)])
     if blur.shape == (rows, columns):

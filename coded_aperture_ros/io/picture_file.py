@@ -95,7 +95,7 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
         if 2 * np.count_nonzero(pixels > _FAR_ABOVE_WHITE) > pixels.size:
             raise InputError(
                 f"{path}: most values are above {_FAR_ABOVE_WHITE:g}, expected linear light from 0 "
-                "to 1: divide by what white is, such as 255"
+                "to 1: divide by the value of white, such as 255"
             )
         return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):

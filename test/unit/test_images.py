@@ -100,7 +100,7 @@ def test_nan_is_kept_in_float_files(tmp_path):
 def test_numbers_up_to_255_are_no_linear_light(tmp_path, name):
     values = np.linspace(0, 255, 35, dtype=np.float32).reshape(5, 7)
     (np.save if name.endswith("npy") else write_image)(tmp_path / name, values)
-    with pytest.raises(InputError, match="divide by what white is, such as 255"):
+    with pytest.raises(InputError, match="divide by the value of white, such as 255"):
         read_image(tmp_path / name)
     write_image(tmp_path / "lamp.npy", np.array([[0.1, 0.2, 0.3, 50, 90]]))
     assert read_image(tmp_path / "lamp.npy").max() == 90

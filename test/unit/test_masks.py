@@ -198,7 +198,7 @@ def test_score_command_says_what_pictures_cannot(tmp_path, capsys):
     folder = picture_folder(tmp_path)
     result = call(capsys, "mask", "score", "levin", "--images", folder, "--motion-px", "3")
     assert result.status == 1
-    assert "motion_px: the prediction from pictures knows none" in result.err
+    assert "motion_px: not supported by the prediction from pictures" in result.err
     result = call(capsys, "mask", "score", "levin", "--windows", "10")
     assert result.status == 2
     assert "--windows: needs --images too" in result.err

@@ -185,13 +185,13 @@ class _Search:
         cropped = cells[_bounds(cells)]
         if cropped.all():
             raise InputError(
-                "no mask is to be seen in the spectra of the planes, only an open rectangle: is "
+                "no mask pattern in the spectra of the planes, only an open rectangle: is "
                 "there a mask with a pattern in the lens?"
             )
         explained = self._explained(fit, found)
         if explained < _MIN_EXPLAINED:
             raise InputError(
-                "no mask is to be seen in the spectra of the planes "
+                "no mask pattern in the spectra of the planes "
                 f"({explained:.0%} of their structure explained): is there a mask with a pattern "
                 "in the lens, and are all planes on one side of the focus, blurred by 5 px and "
                 f"more, and by at most largest_blur_px, {self.config.largest_blur_px} px?"

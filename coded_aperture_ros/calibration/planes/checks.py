@@ -70,8 +70,8 @@ def check_pictures(
     ]
     if useless:
         raise InputError(
-            "; ".join(useless) + ": use a page with fine texture all over, and more light; a plane "
-            "so far from the focus that nothing of its texture is left has to be left out"
+            "; ".join(useless) + ": use a page with fine texture all over, and more light; leave "
+            "out planes so far from the focus that their texture is blurred away"
         )
     return checks
 

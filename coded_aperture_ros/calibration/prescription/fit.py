@@ -106,7 +106,9 @@ def _bundle(camera: Camera, rays: Rays, field: float, inverse_m: float, half_mm:
     places = rays.stop / half_mm
     inside = (np.abs(places) <= 1).all(axis=0) & np.isfinite(rays.sensor).all(axis=0)
     if not (inside & rays.passed).any():
-        raise InputError(f"no light comes to {field:.0%} of the way to the corner")
+        raise InputError(
+            f"no ray reaches {field:.0%} of the way to the corner: check stop and diameters"
+        )
     # The image is upside down: seen upright, both axes turn. Along the field comes first.
     along, across = rays.sensor[::-1] * -1.0
     turned = places[::-1, inside]

@@ -61,7 +61,7 @@ def fit_focus(
             found.append((shift, variance, float(np.median(inverse_m[known]))))
     if not found:
         raise InputError(
-            "no points can be followed whose depth is known: move the camera past things with "
+            "no points of known depth can be tracked: move the camera past things with "
             "texture, slowly enough that frames overlap"
         )
     shifts, variances, depths = np.asarray(found, np.float64).T

@@ -69,7 +69,7 @@ class PictureScorer:
         for name in ("motion_px", "diffraction_px"):
             if getattr(self.scene, name) > 0:
                 raise InputError(
-                    f"{name}: the prediction from pictures knows none: leave it at 0, or predict "
+                    f"{name}: not supported by the prediction from pictures: leave it at 0, or predict "
                     "from the mask alone"
                 )
         widest = psf_width(self.scene.largest_px)
