@@ -115,7 +115,7 @@ def noise_from_frames(frames: Sequence[NDArray[np.floating]]) -> SensorNoise:
     dark, gain, fit_error = _robust_line(light, variance)
     if fit_error > _MAX_FIT_ERROR:
         raise InputError(
-            f"the noise does not follow the light as a sensor's does ({100 * fit_error:.0f} % off): "
+            f"the noise does not follow the light as a sensor's ({100 * fit_error:.0f} % off): "
             "something moved between the frames, or they are not linear light (gamma)"
         )
     darkest = float(light[0])

@@ -69,8 +69,8 @@ class PictureScorer:
         for name in ("motion_px", "diffraction_px"):
             if getattr(self.scene, name) > 0:
                 raise InputError(
-                    f"{name}: not supported by the prediction from pictures: leave it at 0, or predict "
-                    "from the mask alone"
+                    f"{name}: not supported by the prediction from pictures: leave it at 0, or "
+                    "predict from the mask alone"
                 )
         widest = psf_width(self.scene.largest_px)
         if widest > window_px:
