@@ -185,7 +185,7 @@ def test_unusable_folders(tmp_path, capsys):
     small = call(capsys, "learn", "--planes", folder, "--window-px", 64, *output)
     refused(small, "plane_0.png: image of 48x48 px is smaller than the bank's 64 px window")
     one = call(capsys, "learn", "--planes", folder, "--level-count", 1, *output)
-    wrong_usage(one, "learn", "--level-count: expected at least 2")
+    wrong_usage(one, "learn", "--level-count: 1 is out of range")
 
 
 def test_planes_out_of_order_are_refused(planes):

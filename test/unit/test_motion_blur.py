@@ -257,7 +257,10 @@ def test_the_program_estimates_and_removes_motion(moving_file, capsys):
     result = call(capsys, *both, "--method", "cg", "--iterations", 8)
     assert (result.status, result.err) == (0, "")
     result = call(capsys, *both)
-    assert (result.status, "removes no motion" in result.err) == (2, True)
+    assert (result.status, "--motion: needs --method cg or --method sparse" in result.err) == (
+        2,
+        True,
+    )
     (folder / "bad.npy").write_bytes(b"nothing")
     bad = [folder / "bad.npy" if str(each).endswith("motion.npy") else each for each in both]
     result = call(capsys, *bad, "--method", "cg")
@@ -267,7 +270,7 @@ def test_the_program_estimates_and_removes_motion(moving_file, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--method", "simple", "--motion"), "--motion: only"),
+        (("--method", "simple", "--motion"), "--motion: not with --method simple"),
         (("--bank", "b.npz", "--angular-velocity", 0, 0, 1), "needs --motion"),
         (("--bank", "b.npz", "--exposure", 1), "only with --angular-velocity"),
         (("--bank", "b.npz", "--motion", "--angular-velocity", 0, 0, 1), "needs --camera"),

@@ -260,9 +260,9 @@ def test_command_line(tmp_path, capsys):
     [
         (("--method", "simple"), 2, "--camera"),
         (("--method", "simple", "--camera", "CAMERA"), 2, "--depth-range"),
-        (("--method", "simple", "--bank", "b.npz"), 2, "leave it out"),
+        (("--method", "simple", "--bank", "b.npz"), 2, "--bank: not with --method simple"),
         ((), 2, "--bank"),
-        (("--bank", "b.npz", "--depth-range", 1, 2), 2, "only for --method simple"),
+        (("--bank", "b.npz", "--depth-range", 1, 2), 2, "only with --method simple"),
         (("--method", "simple", "--camera", "LEVIN", "--depth-range", 1.6, 3), 1, "mask levin"),
         (("--method", "simple", "--camera", "CAMERA", "--depth-range", 0.8, 3), 1, "focus at 1 m"),
     ],
