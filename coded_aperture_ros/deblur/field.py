@@ -184,6 +184,16 @@ def make_deblurrer(
     Returns
     -------
     Deblurrer or FieldDeblurrer
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.deblur import blur_levels
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> levels = blur_levels(camera=camera, depth_range_m=(2.5, 6.0), level_count=12)
+    >>> make_deblurrer(levels).removes_motion
+    False
     """
     field = model.field if isinstance(model, RenderedLevels) else None
     if isinstance(model, FilterBank) and model.field is not None:

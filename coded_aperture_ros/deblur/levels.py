@@ -56,6 +56,14 @@ def blur_levels(
     ------
     InputError
         If there is neither a bank nor a depth range, or the range does not suit the camera.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> len(blur_levels(camera=camera, depth_range_m=(2.5, 6.0), level_count=12).stack)
+    12
     """
     if bank is not None:
         return bank

@@ -126,7 +126,12 @@ def stereo_pair(
 
 
 def check_parallax(shift_px: float, width: int) -> None:
-    """Raise `InputError` unless views of a frame of so many columns can be so far apart."""
+    """Raise `InputError` unless views of a frame of so many columns can be so far apart.
+
+    Examples
+    --------
+    >>> check_parallax(8.0, width=640)
+    """
     if not 0 < shift_px < np.inf:
         raise InputError(f"parallax: expected more than 0 px, got {shift_px:g}")
     if 2 * shift_px > width:
@@ -169,7 +174,15 @@ def anaglyph(left: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def side_by_side(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Picture of twice the width, left on the left; arguments and errors as of `anaglyph`."""
+    """Picture of twice the width, left on the left; arguments and errors as of `anaglyph`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> view = np.zeros((4, 6), np.float32)
+    >>> side_by_side(view, view).shape
+    (4, 12)
+    """
     _check_pair(left, right)
     return np.concatenate([left, right], axis=1)
 

@@ -39,6 +39,10 @@ class Uncertainty:
         Standard deviation of a channel's error, linear light.
     kind : ndarray of int [rows, columns]
         `FILLED`, `UNCERTAIN` or `SEEN`.
+
+    Examples
+    --------
+    See `Deblurrer.uncertainty`.
     """
 
     std_dev: FloatArray  # float32; of a channel's error, linear light

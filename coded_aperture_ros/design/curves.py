@@ -107,13 +107,30 @@ def default_focus_range_m(camera: Camera, near_m: float, far_m: float) -> tuple[
 
     No nearer than twice the focal length, where the image has the size of the object, or twice the
     mask's distance.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> default_focus_range_m(camera, 2.0, 5.0)
+    (0.5, 20.0)
     """
     closest_m = 2e-3 * max(camera.focal_length_mm or 0.0, camera.lens_mask_distance_mm)
     return max(near_m / 4, min(closest_m, near_m)), 4 * far_m
 
 
 def default_extent_range_mm(camera: Camera) -> tuple[float, float]:
-    """Mask extents to search, mm: half the camera's to twice the camera's."""
+    """Mask extents to search, mm: half the camera's to twice the camera's.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> default_extent_range_mm(camera)
+    (5.0, 20.0)
+    """
     return camera.mask_extent_mm / 2, camera.mask_extent_mm * 2
 
 

@@ -35,7 +35,18 @@ _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """Paths of the pictures in a folder, sorted by name."""
+    """Paths of the pictures in a folder, sorted by name.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_image(pathlib.Path(folder, "b.png"), np.zeros((4, 6)))
+    ...     write_image(pathlib.Path(folder, "a.png"), np.zeros((4, 6)))
+    ...     [path.name for path in picture_files(pathlib.Path(folder))]
+    ['a.png', 'b.png']
+    """
     return sorted(
         file
         for file in folder.iterdir()

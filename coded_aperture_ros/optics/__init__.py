@@ -16,7 +16,6 @@ __all__ = [
     "Intrinsics",
     "Mask",
     "PsfStack",
-    "View",
     "Wavefront",
     "camera_from_mapping",
     "image_distance",

@@ -219,7 +219,13 @@ MASK_NAMES = tuple(_BUILDERS)
 
 
 def load_mask(name: str) -> Mask:
-    """Mask of a name of `MASK_NAMES`, or else of a file; an `InputError` if neither."""
+    """Mask of a name of `MASK_NAMES`, or else of a file; an `InputError` if neither.
+
+    Examples
+    --------
+    >>> load_mask("zhou").transmission.shape
+    (11, 11)
+    """
     if name not in MASK_NAMES and Path(name).exists():
         return Mask.from_file(name)
     try:

@@ -67,7 +67,21 @@ class SensorModel:
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Sharp image with the depth of every pixel."""
+    """Sharp image with the depth of every pixel.
+
+    Parameters
+    ----------
+    image : ndarray of float32 [h, w, 3]
+        Linear light, RGB.
+    depth_m : ndarray of float32 [h, w]
+        All known, m.
+    focal_length_px : float
+        Of the camera that took the image, px.
+
+    Examples
+    --------
+    See `PanningScene`.
+    """
 
     image: FloatArray  # [h, w, 3], linear light, RGB
     depth_m: FloatArray  # [h, w], all known
@@ -96,6 +110,11 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
     ----------
     D. Scharstein et al., *High-Resolution Stereo Datasets with Subpixel-Accurate Ground Truth*,
     2014.
+
+    Examples
+    --------
+    >>> motorcycle_scene(0.2).depth_m.shape  # doctest: +SKIP
+    (100, 148)
     """
     try:
         from skimage.data import stereo_motorcycle
@@ -144,6 +163,17 @@ class PanningScene:
     ------
     InputError
         If the scene does not suit the camera, or the period is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> grey, depth_m = np.full((60, 80, 3), 0.5, np.float32), np.full((60, 80), 3.0, np.float32)
+    >>> scene = Scene(grey, depth_m, focal_length_px=1000.0)
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("levin"), mask_extent_mm=10.0)
+    >>> PanningScene(scene, camera).frame(1.5).coded.shape
+    (48, 64, 3)
     """
 
     def __init__(

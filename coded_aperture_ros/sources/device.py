@@ -15,7 +15,13 @@ _AUTO_EXPOSURE = 3
 
 @dataclasses.dataclass(frozen=True)
 class DeviceConfig:
-    """Settings of a camera device, where it has them."""
+    """Settings of a camera device, where it has them.
+
+    Examples
+    --------
+    >>> DeviceConfig(width=640, height=480).exposure
+    -1.0
+    """
 
     parameter_group = "device."
     width: int = option(
@@ -55,6 +61,10 @@ class DeviceSource:
         Settings that the open device does not accept.
     automatic : tuple of str
         What the device still changes by itself, such as the exposure.
+
+    Examples
+    --------
+    See `open_source`.
     """
 
     live = True

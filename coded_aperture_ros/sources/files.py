@@ -72,7 +72,12 @@ class FileSource(ABC, Generic[Stored]):
 
 
 class PictureSource(FileSource[Path]):
-    """Frames of one or more pictures."""
+    """Frames of one or more pictures.
+
+    Examples
+    --------
+    See `captures`.
+    """
 
     def __init__(self, files: tuple[Path, ...], loop: bool = False) -> None:
         super().__init__(files, len(files), loop)

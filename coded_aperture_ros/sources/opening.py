@@ -33,6 +33,10 @@ def open_files(text: str, loop: bool = False) -> FileSource[Any]:
     InputError
         With the path: it is missing, a folder without pictures, or not readable. Reading a frame
         may raise it later.
+
+    Examples
+    --------
+    See `captures`.
     """
     if text.startswith(_BAG):
         bag, _, topic = text.removeprefix(_BAG).partition("#")

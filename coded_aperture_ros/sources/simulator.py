@@ -25,6 +25,10 @@ class SimulatorSource:
     ------
     InputError
         If the scene does not suit the camera, or is not installed.
+
+    Examples
+    --------
+    See `open_source`.
     """
 
     live = False

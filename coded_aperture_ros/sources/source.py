@@ -94,6 +94,17 @@ def captures(
     """Frames of a source, which is closed in the end.
 
     A frame that cannot be read is dropped if `on_error` takes the error; else that is raised.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from coded_aperture_ros.io import write_image
+    >>> from coded_aperture_ros.sources import open_files
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_image(pathlib.Path(folder, "a.png"), np.zeros((4, 6)))
+    ...     [capture.name for capture in captures(open_files(folder))]
+    ['a']
     """
     with closing(source):
         while True:

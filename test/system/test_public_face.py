@@ -1,6 +1,7 @@
 """The names that users need are few, documented, and all in the API reference."""
 
 import inspect
+import pkgutil
 import re
 from importlib import import_module
 
@@ -59,6 +60,18 @@ def test_public_methods_say_what_they_do(public):
         if not name.startswith("_") and callable(method)
     ]
     assert [f"{what}.{name}" for what, name, method in methods if not inspect.getdoc(method)] == []
+
+
+def test_rooms_offer_what_they_list():
+    """A program that checks its types strictly sees the names in `__all__` only."""
+    found = pkgutil.walk_packages(coded_aperture_ros.__path__, "coded_aperture_ros.")
+    listed = 0
+    for room in (one for one in found if one.ispkg):
+        module = import_module(room.name)
+        names = getattr(module, "__all__", [])
+        listed += len(names)
+        assert [name for name in names if not hasattr(module, name)] == [], room.name
+    assert listed > 100
 
 
 def test_importing_the_package_loads_no_room():

@@ -42,7 +42,6 @@ __all__ = [
     "depth_from_pixels",
     "depth_pixels",
     "frame_from_image",
-    "frame_from_pixels",
     "limit_depth",
     "luminance",
     "millimetres_from_depth",

@@ -42,6 +42,12 @@ def random_scene(
         Signed blur sizes of the nearest and the farthest surface. None: random ones.
     empty : bool
         Only the room, and nothing in it.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> scene = random_scene(0, Mask.named("levin"))  # doctest: +SKIP
+    >>> coded, depth_m = scene.coded(), scene.depth_m()  # doctest: +SKIP
     """
     random = np.random.default_rng([seed, SIDES.index(side)])
     draw, camera = new_drawing(random, mask, side, shape, blur_range_px)
@@ -70,6 +76,11 @@ def rod_scene(
     scene : LayeredScene
     labels : ndarray, int32 [rows, columns]
         1 for the first width's rod, and so on; 0 where none is seen.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> scene, labels = rod_scene(0, Mask.named("levin"), [2.0, 4.0, 8.0])  # doctest: +SKIP
     """
     random = np.random.default_rng([seed, SIDES.index(side), len(widths_px)])
     draw, camera = new_drawing(random, mask, side, shape)
@@ -98,6 +109,10 @@ class Fenced:
         Share of each pixel that the nearer surface takes, 0 to 1.
     near_px, behind_px : ndarray, float32 [rows, columns]
         Signed blur sizes of the nearer surface, wherever it may be, and of the room behind.
+
+    Examples
+    --------
+    See `fenced_scene`.
     """
 
     scene: LayeredScene
@@ -119,6 +134,11 @@ def fenced_scene(
         A net, fence or grating; leaves side by side; or glass that reflects, or a thin curtain.
     side : {"far", "near"}
         Of the focal plane.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> fenced = fenced_scene(0, Mask.named("levin"), "leaves")  # doctest: +SKIP
     """
     random = np.random.default_rng([seed, SIDES.index(side), FENCES.index(kind), 3])
     while True:

@@ -25,6 +25,10 @@ class LayeredScene:
         The last ones fill the frame.
     camera : Camera
         Its mask, and blur sizes as of the layers; image size as of the frame.
+
+    Examples
+    --------
+    See `random_scene`.
     """
 
     layers: tuple[Layer, ...]
