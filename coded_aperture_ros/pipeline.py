@@ -13,7 +13,6 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import AnyDeblurrer, DeblurConfig, make_deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.depth import (
@@ -25,6 +24,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.levels import check_camera
 from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
+from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.optics import Camera
 

@@ -14,6 +14,7 @@ import ast
 import io
 import json
 import os
+import runpy
 import sys
 import threading
 import tokenize
@@ -54,16 +55,17 @@ class Trace:
     def __call__(self, frame: FrameType, event: str, argument: object) -> None:
         """Take down one call; see `sys.setprofile`."""
         name = frame.f_code.co_filename
-        if event == "call" and name.startswith(f"{PACKAGE}{os.sep}") and name not in self.files:
-            if not _is_importing(frame):
-                self.files[name] = None
+        is_new = name.startswith(f"{PACKAGE}{os.sep}") and name not in self.files
+        if event == "call" and is_new and not _is_importing(frame):
+            self.files[name] = None
 
 
 def _is_importing(frame: FrameType | None) -> bool:
-    """Whether a module of the package is being imported."""
+    """Whether a module of the package, but for the program itself, is being imported."""
     while frame is not None:
-        code = frame.f_code
-        if code.co_name == "<module>" and code.co_filename.startswith(f"{PACKAGE}{os.sep}"):
+        path = Path(frame.f_code.co_filename)
+        is_module = frame.f_code.co_name == "<module>" and path.is_relative_to(PACKAGE)
+        if is_module and path != PACKAGE / "__main__.py":
             return True
         frame = frame.f_back
     return False
@@ -71,13 +73,15 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 def trace(arguments: list[str]) -> tuple[int, dict[str, int]]:
     """Status of a command, and the lines of code of every file that it executed."""
-    from coded_aperture_ros.cli.main import main
-
+    sys.argv = ["coded_aperture", *arguments]
     found = Trace()
+    status = 0
     threading.setprofile(found)
     sys.setprofile(found)
     try:
-        status = main(arguments)
+        runpy.run_module("coded_aperture_ros", run_name="__main__")
+    except SystemExit as ended:
+        status = int(ended.code or 0)
     finally:
         sys.setprofile(None)
         threading.setprofile(None)  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bags.codec import Picture, read_picture
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.timing import LapTimer
+from coded_aperture_ros.core.progress import LapTimer
 from coded_aperture_ros.depth import Health, Layer
 from coded_aperture_ros.frames import ExpectedMotion, Frame, Gamma, PixelFormat, View
 from coded_aperture_ros.io.messages import MessageError, pixels_from_frame

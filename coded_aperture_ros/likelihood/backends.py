@@ -7,7 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.timing import LapTimer
+from coded_aperture_ros.core.progress import LapTimer
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan

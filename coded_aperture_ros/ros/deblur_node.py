@@ -11,9 +11,9 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.stamp_order import StampOrder
 from coded_aperture_ros.deblur import DeblurConfig, blur_levels, covers_frame
 from coded_aperture_ros.deblur.levels import RenderedLevels
+from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_image,

@@ -23,7 +23,7 @@ from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.stamp_order import StampOrder
+from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.io.messages import ENCODINGS, array_from_image, pixels_from_frame
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
-from coded_aperture_ros.core.timing import LapTimer
+from coded_aperture_ros.core.progress import LapTimer
 from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.likelihood import Cost, MotionField, relative_cost
 from coded_aperture_ros.likelihood.motion.bank import MotionBank
