@@ -8,11 +8,12 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate
 from coded_aperture_ros.design.setting import design_setting, resolutions_m
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.pipeline import FramePipeline
 
 OK = "ok"
 WARNING = "warning"
@@ -120,7 +121,7 @@ class FrameCheckup:
         check_setting(bank, camera)
         self._camera = camera
         self._bank = dataclasses.replace(bank, noise=0.0)
-        self._estimator: DepthEstimator | None = None  # for frames of one size
+        self._pipeline: FramePipeline | None = None  # for frames of one size
 
     def findings(self, frame: Frame) -> list[Finding]:
         """Findings about a frame: size, saturation, noise, fit, share of known depth."""
@@ -134,18 +135,18 @@ class FrameCheckup:
         # The estimated noise is compared with the camera file's, which must not be used for it.
         camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
         try:
-            if self._estimator is None or self._estimator.camera != camera:
-                self.close()
-                self._estimator = DepthEstimator(self._bank, DepthConfig(), camera)
-            estimate = self._estimator.estimate(frame)
+            if self._pipeline is None:
+                self._pipeline = FramePipeline(self._bank, camera, deblur=None)
+            self._pipeline.reconfigure(camera=camera)
+            estimate = self._pipeline(frame)
         except InputError as error:
             return [*found, _failed("frame", error)]
         return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]
 
     def close(self) -> None:
-        """End the estimator's threads."""
-        if self._estimator is not None:
-            self._estimator.close()
+        """End the pipeline's threads."""
+        if self._pipeline is not None:
+            self._pipeline.close()
 
     def _noise(self, estimate: DepthEstimate) -> Finding:
         expected = self._camera.noise

@@ -13,7 +13,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.deblur import AnyDeblurrer, DeblurConfig, make_deblurrer
+from coded_aperture_ros.deblur import AnyDeblurrer, DeblurConfig, Uncertainty, make_deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.depth import (
     DepthConfig,
@@ -156,7 +156,10 @@ class FramePipeline:
             yield waiting.popleft(), estimate
 
     def deblur(
-        self, frame: Frame | FloatArray, depth: DepthEstimate | FloatArray | None = None
+        self,
+        frame: Frame | FloatArray,
+        depth: DepthEstimate | FloatArray | None = None,
+        motion_px: FloatArray | None = None,
     ) -> FloatArray:
         """All-in-focus picture of a frame.
 
@@ -168,6 +171,9 @@ class FramePipeline:
         depth : DepthEstimate or ndarray, float32 [map rows, map columns], optional
             What `pipeline(frame)` has found, or metres from elsewhere: NaN where unknown; by
             default it is estimated.
+        motion_px : ndarray, float32 [map rows, map columns, 2], optional
+            Motion during the exposure, right and down; by default what the estimate has. Methods
+            that cannot remove it leave it out.
 
         Returns
         -------
@@ -187,15 +193,60 @@ class FramePipeline:
         if depth is None:
             depth = self(frame)
         if isinstance(depth, DepthEstimate):
-            blur_size_px, motion_px = depth.blur_size_px, depth.values("motion")
+            motion_px = depth.values("motion") if motion_px is None else motion_px
         else:
             self._follow(frame.stamp_ns)
-            self._show(frame)
-            blur_size_px, motion_px = self._blur_size_px(depth), None
-        noise = channel_noise(frame.picture, self._known_noise(deblurrer.config))
+        blur_size_px = self.blur_size_px(frame, depth)
         if not deblurrer.removes_motion:
             motion_px = None
-        return deblurrer.deblur(frame.picture, blur_size_px, noise, motion_px)
+        return deblurrer.deblur(frame.picture, blur_size_px, self._noise(frame), motion_px)
+
+    def blur_size_px(self, frame: Frame, depth: DepthEstimate | FloatArray) -> FloatArray:
+        """Signed blur sizes that a frame is deblurred by, px [map rows, map columns].
+
+        Parameters
+        ----------
+        frame, depth
+            See `deblur`.
+
+        Raises
+        ------
+        InputError
+            If no depth is known in the whole frame, or what blur it has.
+        """
+        if isinstance(depth, DepthEstimate):
+            return depth.blur_size_px
+        self._show(frame)
+        sizes = blur_sizes_px(self.model, self._view_camera, depth)
+        if sizes is None:
+            raise InputError(
+                "depth: neither the bank nor a camera says what blur a depth has: give the camera"
+            )
+        if not np.isfinite(sizes).any():
+            raise InputError("depth: no depth is known in the whole frame")
+        return sizes
+
+    def uncertainty(
+        self, frame: Frame, sharp: FloatArray, depth: DepthEstimate | FloatArray
+    ) -> Uncertainty:
+        """How far each pixel of an all-in-focus picture can be relied on.
+
+        Parameters
+        ----------
+        frame, depth
+            What `deblur` was given.
+        sharp : ndarray, float32, like `frame.picture`
+            What it has made of them.
+
+        Raises
+        ------
+        InputError
+            As from `deblur`.
+        """
+        if self._deblurrer is None:
+            raise InputError("deblurring: the pipeline was made without it")
+        blur_size_px = self.blur_size_px(frame, depth)
+        return self._deblurrer.uncertainty(frame.picture, sharp, blur_size_px, self._noise(frame))
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -284,24 +335,15 @@ class FramePipeline:
         model = self.model.for_view(self._view_camera)
         return make_deblurrer(model, config, self._progress)
 
-    def _known_noise(self, config: DeblurConfig) -> KnownNoise:
-        """Noise of one channel, as far as it is known; see `KnownNoise.of` for what goes first.
+    def _noise(self, frame: Frame) -> float:
+        """Standard deviation of one channel's noise; see `KnownNoise.of` for what goes first.
 
         Not what depth has estimated, which is of the mean of the channels: so the picture is the
         same as where depth comes from elsewhere.
         """
-        return KnownNoise.of(config, self.depth_config, self.camera, self.model)
-
-    def _blur_size_px(self, depth_m: FloatArray) -> FloatArray:
-        """Blur sizes of depths of the frame's view, px, NaN where depth is unknown."""
-        sizes = blur_sizes_px(self.model, self._view_camera, depth_m)
-        if sizes is None:
-            raise InputError(
-                "depth: neither the bank nor a camera says what blur a depth has: give the camera"
-            )
-        if not np.isfinite(sizes).any():
-            raise InputError("depth: no depth is known in the whole frame")
-        return sizes
+        deblur = None if self._deblurrer is None else self._deblurrer.config
+        known = KnownNoise.of(deblur, self.depth_config, self.camera, self.model)
+        return channel_noise(frame.picture, known)
 
     def _follow(self, stamp_ns: int | None) -> None:
         """Begin another video where time has gone back."""

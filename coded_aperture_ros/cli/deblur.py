@@ -12,21 +12,15 @@ import numpy as np
 from coded_aperture_ros.cli.command import Command, argument, group
 from coded_aperture_ros.cli.estimation import fit_camera
 from coded_aperture_ros.cli.estimation_arguments import CameraArguments
-from coded_aperture_ros.cli.frames import (
-    InputArguments,
-    NamedFrame,
-    Outputs,
-    SkippedInputs,
-    named_frames,
-)
+from coded_aperture_ros.cli.frames import InputArguments, Outputs, SkippedInputs, named_frames
 from coded_aperture_ros.cli.rules import needs, only_with
 from coded_aperture_ros.cli.stereo_output import StereoArguments, StereoOutput
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame, make_deblurrer
-from coded_aperture_ros.depth import DepthConfig, blur_sizes_px
-from coded_aperture_ros.frames import KnownNoise
+from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, write_image
 from coded_aperture_ros.likelihood.bank import FilterBank, check_setting, load_bank
 from coded_aperture_ros.optics import Camera, load_camera
@@ -134,9 +128,10 @@ def run(args: Arguments) -> int:
             with naming(named.source):
                 named.suited(bank)
                 stereo.check(named.frame.shape)
-                sharp, blur_size_px = restorer.restored(named)
+                sharp, depth = restorer.restored(named.frame)
                 seconds = time.perf_counter() - start
-                found = restorer.uncertainty(named, sharp, blur_size_px) if args.std_dev else None
+                blur_size_px = restorer.blur_size_px(named.frame, depth)
+                found = restorer.uncertainty(named.frame, sharp, depth) if args.std_dev else None
         except InputError as error:
             skipped.note(error)
             continue
@@ -170,76 +165,60 @@ def _write_uncertainty(found: Uncertainty, output: Path) -> dict[str, str]:
 
 
 class _Restorer:
-    """Makes all-in-focus pictures and the maps of blur sizes that they were made with."""
+    """Makes all-in-focus pictures, with depth from the pipeline itself or from a file."""
 
     def __init__(self, args: Arguments, bank: FilterBank, camera: Camera | None) -> None:
         self._args = args
-        self._bank = bank
         self._motion_px = None if args.motion is None else _load_motion(args.motion)
-        noise = dataclasses.asdict(KnownNoise.of(args.config, camera, bank))
-        config = dataclasses.replace(args.config, **noise)
-        iterations = partial(progress, unit="iteration")
-        self._deblurrer = make_deblurrer(bank, config, iterations)
         if camera is not None:
             with naming(args.camera):
                 camera = check_setting(bank, camera)
         self._camera = camera
-        self._depth_m: FloatArray | None = None
-        self._pipeline: FramePipeline | None = None
-        if args.depth != _AUTO:
-            self._depth_m = _known_depths(args, bank, camera)
-            return
+        self._depth_m = None if args.depth == _AUTO else _known_depths(args, bank, camera)
+        config = args.config
         # A picture from depth that is not sure shows that itself.
         depth = DepthConfig(
-            **noise,
+            noise=config.noise,
+            noise_gain=config.noise_gain,
             saturation=config.saturation,
             network=config.network,
             threads=args.threads or 0,
             check_fit=False,
         )
         with naming(args.camera or args.bank):
+            iterations = partial(progress, unit="iteration")
             self._pipeline = FramePipeline(bank, camera, depth, config, iterations)
 
     def reset(self) -> None:
         """Forget the frames so far: another video begins."""
-        self._deblurrer.reset()
-        if self._pipeline is not None:
-            self._pipeline.reset()
+        self._pipeline.reset()
 
-    def restored(self, named: NamedFrame) -> tuple[FloatArray, FloatArray]:
-        """All-in-focus picture of a frame, and its blur sizes, px."""
-        frame = named.frame
-        camera = fit_camera(self._pipeline, self._camera, frame.shape)
-        if self._pipeline is not None:
-            estimate = self._pipeline(frame)
-            blur_size_px = estimate.blur_size_px
-            if self._motion_px is None:
-                return self._pipeline.deblur(frame, estimate), blur_size_px
-        else:
-            blur_size_px = self._known_blur_size_px(frame.shape, camera)
-        picture = self._deblurrer.deblur(frame.picture, blur_size_px, motion_px=self._motion_px)
-        return picture, blur_size_px
+    def restored(self, frame: Frame) -> tuple[FloatArray, DepthEstimate | FloatArray]:
+        """All-in-focus picture of a frame, and the depth that it was made with."""
+        fit_camera(self._pipeline, self._camera, frame.shape)
+        depth = self._pipeline(frame) if self._depth_m is None else self._depth_for(frame.shape)
+        return self._pipeline.deblur(frame, depth, self._motion_px), depth
 
-    def _known_blur_size_px(self, shape: Shape, camera: Camera | None) -> FloatArray:
-        """Blur sizes of the depth map that was given, for frames of a shape."""
-        blur_size_px = None
-        if self._depth_m is not None:
-            blur_size_px = blur_sizes_px(self._bank, camera, self._depth_m)
-        if self._depth_m is None or blur_size_px is None:
-            raise InputError("no depth")
+    def blur_size_px(self, frame: Frame, depth: DepthEstimate | FloatArray) -> FloatArray:
+        """Blur sizes that a picture was made with, px [map rows, map columns]."""
+        return self._pipeline.blur_size_px(frame, depth)
+
+    def uncertainty(
+        self, frame: Frame, sharp: FloatArray, depth: DepthEstimate | FloatArray
+    ) -> Uncertainty:
+        """How far each pixel of an all-in-focus picture can be relied on."""
+        return self._pipeline.uncertainty(frame, sharp, depth)
+
+    def _depth_for(self, shape: Shape) -> FloatArray:
+        """Depth map that was given, m; an `InputError` if it does not cover frames of a shape."""
+        assert self._depth_m is not None
         if not covers_frame(self._depth_m.shape, shape):
             of_map, of_frame = (f"{x[1]} x {x[0]}" for x in (self._depth_m.shape, shape))
             raise InputError(
                 f"the depth map {self._args.depth} has {of_map} pixels, this frame {of_frame}: it "
                 "must be of this size, or of this shape and smaller"
             )
-        return blur_size_px
-
-    def uncertainty(
-        self, named: NamedFrame, sharp: FloatArray, blur_size_px: FloatArray
-    ) -> Uncertainty:
-        """How far each pixel of an all-in-focus picture can be relied on."""
-        return self._deblurrer.uncertainty(named.frame.picture, sharp, blur_size_px)
+        return self._depth_m
 
 
 def _load_motion(path: str) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.design.diffraction import airy_width_px
 from coded_aperture_ros.design.openings import mask_openings, mask_outlines, narrowest_bar, recut
 from coded_aperture_ros.design.scores.spectra import SceneConfig
@@ -29,6 +29,7 @@ from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
@@ -223,9 +224,10 @@ def _errors(
     fewest = cells * -(-_POINTS // cells) if cells <= _POINTS else _POINTS
     frame = trial.light.exposed(scene.coded(cut, fewest), camera, random)
     config = DepthConfig(confidence_threshold=0.0)
-    estimator = DepthEstimator(_bank(camera, trial.range_m, trial.levels), config, camera)
-    estimate = estimator.estimate(frame)
-    estimator.close()
+    bank = _bank(camera, trial.range_m, trial.levels)
+    pipeline = FramePipeline(bank, camera, config, deblur=None)
+    estimate = pipeline(frame)
+    pipeline.close()
     assert estimate.depth_m is not None
     relative = np.abs(estimate.depth_m / true_m - 1)
     return np.where(np.isfinite(true_m), relative, np.nan), estimate.confidence

@@ -23,7 +23,7 @@ from coded_aperture_ros.io.messages import (
     pixels_from_frame,
 )
 from coded_aperture_ros.likelihood.bank import FilterBank
-from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
@@ -110,7 +110,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         view = driver.view(self._model.whole, frame.shape)
         self._model.fit(view)
         pipeline = self._present_pipeline()
-        sharp = pipeline.deblur(dataclasses.replace(frame, view=view), depth_m)
+        try:
+            sharp = pipeline.deblur(dataclasses.replace(frame, view=view), depth_m)
+        except LateFrameError as error:
+            raise MessageError("late", str(error)) from error
         self._send_picture(sharp, output_encoding(image.encoding), header)
         camera = self._model.whole
         if complaint := driver.complaint(camera, frame.shape):

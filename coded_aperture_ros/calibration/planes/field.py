@@ -9,10 +9,11 @@ from coded_aperture_ros.calibration.scoring import Scoring, Windows, window_spec
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf, render_psf_stack
+from coded_aperture_ros.pipeline import FramePipeline
 
 # Smallest blur on the axis, px: with less the corners may have none, or that of the other side of
 # the focus.
@@ -186,7 +187,7 @@ def _field_points(
     bank = learn_bank(render_psf_stack(camera.mask, np.sort(sizes_px)))
     # What a network has learned must not bend what is measured.
     config = DepthConfig(regularize="semiglobal", check_fit=False, threads=0)
-    estimator = DepthEstimator(bank, config)
+    pipeline = FramePipeline(bank, depth=config, deblur=None)
     shape = planes.images[0].shape[:2]
     squared_tangent = FieldCurvature(1.0).defocus_map(camera.intrinsics, shape)
     unit_px = camera.blur_per_dioptre_px
@@ -195,12 +196,12 @@ def _field_points(
     margin = bank.window_px // 2
     some = np.s_[margin:-margin:_EVERY_PX, margin:-margin:_EVERY_PX]
     for index in progress(used):
-        found = estimator.estimate(planes.images[index])
+        found = pipeline(planes.images[index])
         sure = found.confidence[some] >= _MIN_CONFIDENCE
         blur = found.blur_size_px[some][sure] / unit_px
         squared = squared_tangent[some][sure]
         points.append(np.stack([blur, squared, squared**2]))
-    estimator.close()
+    pipeline.close()
     corner = squared_tangent.max()
     inverse_focus = 1 / camera.focus_distance_m
     return _FieldPoints(true, points, squared_tangent[some], corner, inverse_focus, unit_px)

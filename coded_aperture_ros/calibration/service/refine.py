@@ -11,9 +11,10 @@ from coded_aperture_ros.calibration.service.tracks import Tracks, tracks_of
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.pipeline import FramePipeline
 
 _OF_MASK = 40  # frames; more tell little more
 _LEAST_BLUR_PX = 2.5
@@ -103,9 +104,10 @@ def _tracked(
     ends_px = _LEAST_BLUR_PX, _FARTHEST * camera.blur_at_infinity_px
     near_m, far_m = camera.depth_m(ends_px)
     bank = learn_bank_for_camera(camera, float(near_m), float(far_m), _LEVELS)
-    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
+    everywhere = DepthConfig(confidence_threshold=0.0)
+    pipeline = FramePipeline(bank, camera, everywhere, deblur=None)
     for tracks in progress(list(tracks_of(frames, camera.intrinsics))):
-        estimate = estimator.estimate(frames[tracks.frame])
+        estimate = pipeline(frames[tracks.frame])
         at = tuple(tracks.points.T)
         assert estimate.depth_m is not None and estimate.std_dev_m is not None
         depth_m, std_m = (
@@ -113,4 +115,4 @@ def _tracked(
             for values in (estimate.depth_m, estimate.std_dev_m)
         )
         yield tracks, 1 / depth_m, std_m / depth_m**2
-    estimator.close()
+    pipeline.close()
