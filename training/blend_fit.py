@@ -32,7 +32,7 @@ _DB = 10 / math.log(10)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picture:
-    """One frame with one blur map as it is kept in memory; see `pictures.pictures_of`.
+    """One frame with one blur map as it is kept in memory; see `pictures.list_pictures`.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ def _layer(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 class Blend(nn.Module):
     """Hypotheses and maps in cells to weights of the hypotheses, and what is added to them.
 
-    Takes what `pictures.pictures_of` has as cells and maps, one after the other [batch, channels,
+    Takes what `pictures.list_pictures` has as cells and maps, one after the other [batch, channels,
     rows, columns], rows and columns even. Returns for each pixel of a cell the weights of all
     hypotheses, and last what is added [batch, (hypotheses + 1) * 16, rows, columns].
     """

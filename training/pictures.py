@@ -79,7 +79,7 @@ def camera_of(mask: str, side: str, bank: int, folder: Path) -> Camera:
     return Camera(estimators, InverseHypotheses(stack, _RANK, Workers()), sign)
 
 
-def pictures_of(number: int, folder: Path) -> dict[str, np.ndarray]:
+def list_pictures(number: int, folder: Path) -> dict[str, np.ndarray]:
     """Return frame `number` as the network is shown it, for each of the `DEPTHS`.
 
     All but the noise is in cells; `mean_and_contrast` says what mean is taken away from them, and
@@ -221,7 +221,7 @@ def pictures_shard(shard: int, folder: Path | None) -> dict[str, np.ndarray]:
     """Return all frames of a shard, stacked."""
     folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
     numbers = range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
-    return _stacked([pictures_of(number, folder) for number in numbers])
+    return _stacked([list_pictures(number, folder) for number in numbers])
 
 
 def main() -> None:

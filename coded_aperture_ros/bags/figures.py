@@ -70,7 +70,7 @@ def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def pictures_of(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDArray[np.uint8]]:
+def list_pictures(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDArray[np.uint8]]:
     """Return the pictures of a frame and its results, by their titles."""
     pictures = {"coded frame": _light(sample.frame)}
     pictures["depth"] = depth_picture(_small(sample.maps.depth_m), *range_m)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags.figures import (
-    pictures_of,
+    list_pictures,
     png,
     range_of,
     reliability_plot,
@@ -56,7 +56,7 @@ def _page(results: Mapping[str, Any], record: Record) -> str:
     for sample in samples:
         figures = [
             f"<figure>{_image(png(picture), name)}<figcaption>{name}</figcaption></figure>"
-            for name, picture in pictures_of(sample, range_m).items()
+            for name, picture in list_pictures(sample, range_m).items()
         ]
         parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
     parts.append(f"<h2>Time</h2>{_table(_times(results))}")

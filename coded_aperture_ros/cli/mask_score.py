@@ -12,7 +12,7 @@ from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.cli.rules import needs
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import table
-from coded_aperture_ros.design.scores.crops import Textures, pictures_of
+from coded_aperture_ros.design.scores.crops import Textures, list_pictures
 from coded_aperture_ros.design.scores.pictures import WINDOWS, PictureScorer, patch_side_px
 from coded_aperture_ros.design.scores.predict import MaskScorer
 from coded_aperture_ros.design.scores.spectra import SceneConfig
@@ -83,7 +83,7 @@ def _with_pictures(args: Arguments, masks: Sequence[Mask]) -> list[dict[str, flo
     """Return the depth error of every mask with the pictures, at every noise, if there are any."""
     if args.images is None:
         return [None] * len(masks)
-    textures = Textures.of_files("natural", pictures_of(args.images))
+    textures = Textures.from_files("natural", list_pictures(args.images))
     side = patch_side_px(args.scene)
     patches = textures.crops(args.windows or WINDOWS, side, side, np.random.default_rng(0))
     scorer = PictureScorer(patches, args.scene, args.sigmas)

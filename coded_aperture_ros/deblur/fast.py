@@ -16,7 +16,7 @@ from coded_aperture_ros.deblur.inverse_filters import (
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.optics import PsfStack
 
-# The share of the table_indices in a video that may have more noise than is reckoned with.
+# Share of the pixels in a video that may have more noise than is assumed.
 _FEW_FRAMES_QUANTILE = 0.1
 
 

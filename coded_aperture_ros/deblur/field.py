@@ -139,9 +139,9 @@ def _tiles(shape: Shape) -> tuple[_Tile, ...]:
         for length, count in zip(shape, (_ROWS, _COLUMNS), strict=True)
     )
     return tuple(
-        _Tile((rows, columns), np.outer(of_rows, of_columns))
-        for rows, of_rows in down
-        for columns, of_columns in across
+        _Tile((rows, columns), np.outer(row_weights, column_weights))
+        for rows, row_weights in down
+        for columns, column_weights in across
     )
 
 

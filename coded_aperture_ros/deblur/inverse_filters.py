@@ -44,7 +44,7 @@ class InverseFilters:
     on the number of levels or on the relief of the scene. The basis has `rank` kernels at most.
     """
 
-    # Weights change slowly: a map of so many times fewer rows and columns tells them.
+    # Weights change slowly: their map has so many times fewer rows and columns.
     reduction = 2
     # Model errors for which there are filters, and how finely maps are looked up between them.
     model_errors = np.geomspace(MODEL_ERRORS[0], MODEL_ERRORS[-1], 4)

@@ -21,7 +21,7 @@ from coded_aperture_ros.deblur.operator import BlurOperator, SpreadingBlur, moti
 from coded_aperture_ros.deblur.problem import Problem, VideoState, from_opponents
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 
-# Occlusion is reckoned with, unless asked otherwise, where its weights fit into so much memory.
+# Largest memory of the weights of occlusion with `auto`, bytes.
 _MAX_OCCLUSION_BYTES = 512 * 2**20
 # How much of what is hidden is seen, about.
 _HIDDEN_VISIBILITY = 0.02
@@ -31,7 +31,7 @@ _HIDDEN_VISIBILITY = 0.02
 _BLEND_SHARE = 0.1
 _BLEND_SHARE_IN_GAPS = 0.6
 _GAP_PX = 9
-# Ranges of blur sizes that the preconditioners tell apart.
+# Number of ranges of blur sizes in the preconditioners.
 RANGES = 4
 # From an array to one of its shape.
 Linear = Callable[[Any], Any]
@@ -157,8 +157,8 @@ def preconditioner(
     def solve(scene: Any) -> Any:
         sums = [0 * scene[0] for _ in range(operator.workers.threads)]
 
-        def add(of_range: tuple[Any, Any], thread: int) -> None:
-            share, inverse = of_range
+        def add(one_range: tuple[Any, Any], thread: int) -> None:
+            share, inverse = one_range
             spectrum = scipy.fft.rfft2(share * scene[0])
             solved = scipy.fft.irfft2(inverse * spectrum, scene[0].shape)
             sums[thread] += share * solved

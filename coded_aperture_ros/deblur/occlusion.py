@@ -52,7 +52,7 @@ class OccludedBlur(BlurOperator):
         self._scale = np.empty(self.shape, np.float32)
         light = _Light(self, surfaces, taps, basis.table_steps(surfaces.behind))
         bands = range(0, rows, _BAND_ROWS)
-        of_band: dict[int, tuple[IndexArray, ...]] = {}
+        band_entries: dict[int, tuple[IndexArray, ...]] = {}
 
         def weigh(top: int, _: int) -> None:
             band = slice(top, min(top + _BAND_ROWS, rows))
@@ -68,12 +68,12 @@ class OccludedBlur(BlurOperator):
             share = share * unit.ravel()[pixel]
             np.add.at(total.ravel(), pixel, share)
             self._scale[band] = 1 / np.maximum(total, np.float32(1))
-            of_band[top] = place, pixel + top * columns, share
+            band_entries[top] = place, pixel + top * columns, share
 
         self.workers.each(weigh, bands)
         # Of what is behind: where it is, which pixel sees it, and how much of it.
         self._place, self._pixel, self._share = (
-            np.concatenate([of_band[top][part] for top in bands]) for part in range(3)
+            np.concatenate([band_entries[top][part] for top in bands]) for part in range(3)
         )
 
     def extend(self, frame: FloatArray) -> FloatArray:

@@ -17,7 +17,7 @@ from coded_aperture_ros.likelihood.motion import motion_kernel
 
 # Motions that a frame is divided among, at most; rarer ones are taken for the nearest of these.
 _MAX_MOTIONS = 8
-# Motions are told apart in steps of this, px.
+# Motions are rounded to steps of this, px.
 _STEP_PX = 0.25
 
 
@@ -91,7 +91,7 @@ def motion_parts(motion_px: FloatArray) -> MotionParts:
     """Most frequent motions of a map [rows, columns, 2]; no motion where it is not finite."""
     known = np.isfinite(motion_px).all(axis=2, keepdims=True)
     coarse = np.rint(np.where(known, motion_px, 0) / _STEP_PX)
-    # Blur does not tell one way along a line from the other.
+    # Blur is the same for both directions along a line.
     right = coarse[..., 0]
     down = coarse[..., 1]
     back = (right < 0) | ((right == 0) & (down < 0))
@@ -136,7 +136,7 @@ class SpreadingBlur(BlurOperator):
         super().__init__(basis, blur_size_px.shape, basis.margin_px + reach_px, workers)
         self._transforms = basis.transforms(self.scene_shape)
         self._steps = basis.table_steps(extend_to_scene(blur_size_px, self))
-        self._shares = [np.take(of_kernel, self._steps) for of_kernel in basis.table]
+        self._shares = [np.take(kernel_row, self._steps) for kernel_row in basis.table]
         self._traces = [transfer_function(trace, self.scene_shape) for trace in traces]
         self._parts: list[FloatArray] = []
         if motion is not None:

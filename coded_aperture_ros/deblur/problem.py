@@ -14,7 +14,7 @@ from coded_aperture_ros.frames import StaticAverage, filled
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
 _MIN_LIGHT = -1.0
 # Light that came through the mask spreads: what is narrower is a fault of the sensor, or a light so
-# small that what is around does not tell of it.
+# small that nothing around it shows it.
 _NARROW_PX = 3
 # Orthonormal: noise that is alike and independent in red, green and blue stays so.
 _OPPONENTS = np.float32(np.array([[1, 1, 1], [1, 0, -1], [1, -2, 1]]) / np.sqrt([[3], [2], [6]]))

@@ -58,7 +58,7 @@ class PsfBasis:
         levels = mixture / (mixture @ kernels.sum(axis=(1, 2)))[:, None]  # unit sums
         at = np.arange(len(psfs))
         fine = np.linspace(0, len(psfs) - 1, _STEPS * (len(psfs) - 1) + 1)
-        table = np.array([np.interp(fine, at, of_kernel) for of_kernel in levels.T])
+        table = np.array([np.interp(fine, at, kernel_row) for kernel_row in levels.T])
         return cls(
             kernels.astype(np.float32),
             table.astype(np.float32),

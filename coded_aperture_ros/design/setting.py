@@ -38,7 +38,7 @@ class DesignConfig:
         unit="px",
         within=(0.01, 100.0),
     )
-    # The longest that the thesis reckons with (eq. 3.21): red suffers most from diffraction.
+    # The longest wavelength of the thesis (eq. 3.21): red suffers most from diffraction.
     wavelength_nm: float = option(
         750.0, "Longest wavelength of the light.", unit="nm", within=(200.0, 2000.0)
     )

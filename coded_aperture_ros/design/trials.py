@@ -33,7 +33,7 @@ from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
-# Scenes to choose by, and others, to say what was chosen is worth.
+# Scenes to choose by, and unseen ones, to evaluate the choice.
 CHOOSE = "to choose by"
 UNSEEN = "unseen"
 PARTS = (CHOOSE, UNSEEN)
@@ -253,10 +253,10 @@ def masks_in_order(results: Iterable[TrialResult]) -> list[dict[str, Any]]:
 
     Those that no other beats in both error and light are marked.
     """
-    of_mask: dict[str, list[TrialResult]] = {}
+    by_mask: dict[str, list[TrialResult]] = {}
     for result in results:
-        of_mask.setdefault(result.trial.camera.mask.name, []).append(result)
-    rows = [_row(group) for group in of_mask.values()]
+        by_mask.setdefault(result.trial.camera.mask.name, []).append(result)
+    rows = [_row(group) for group in by_mask.values()]
     scores = np.array([[row[CHOOSE]["error"], -row["electrons"]] for row in rows])
     for row, best in zip(rows, not_beaten(scores), strict=True):
         row["not_beaten"] = bool(best)

@@ -43,6 +43,6 @@ def movie(path: str | os.PathLike[str]) -> Iterator[Callable[[NDArray], None]]:
             writer.release()
         if not count:
             raise InputError(f"no frame could be used: {path} was not written")
-        # OpenCV does not say whether it could write.
+        # OpenCV does not report whether it could write.
         if cv2.VideoCapture(str(file)).get(cv2.CAP_PROP_FRAME_COUNT) != count:
             raise InputError(f"cannot write {path}: is the disk full?")

@@ -84,9 +84,9 @@ def diffracted_psf(
     across_whole = amplitude @ columns.T
     across_chosen = chosen @ columns.T
     # A row of pixels at a time: all points together can take gigabytes.
-    for pixels, of_row in zip(light, rows.reshape(width_px, count, down), strict=True):
-        whole = of_row @ across_whole
-        passed = whole if part is None else of_row @ across_chosen
+    for pixels, row_fields in zip(light, rows.reshape(width_px, count, down), strict=True):
+        whole = row_fields @ across_whole
+        passed = whole if part is None else row_fields @ across_chosen
         intensity = weights @ (passed.conj() * whole).real
         pixels[:] = intensity.reshape(width_px, count) @ weights
     # Parseval's theorem: the integral of |U|^2 is q^2 times that of t^2. A weight is of 2 px.

@@ -195,20 +195,22 @@ class Wavefront:
     ) -> tuple[DoubleArray, DoubleArray]:
         """Derivatives of W by p and by q [n], at points [n] of the mask and the field h."""
         strengths: dict[tuple[int, int], float] = {}
-        for coefficient, (of_field, of_radius, m) in zip(self.coefficients, TERMS, strict=True):
-            term = (of_radius - m) // 2, m
-            strengths[term] = strengths.get(term, 0.0) + coefficient * h**of_field
+        for coefficient, (field_power, radius_power, m) in zip(
+            self.coefficients, TERMS, strict=True
+        ):
+            term = (radius_power - m) // 2, m
+            strengths[term] = strengths.get(term, 0.0) + coefficient * h**field_power
         squared = p * p + q * q
         radial = [np.ones_like(p), squared, squared**2, squared**2 * squared]
         angular = [radial[0], p, p**2, p**2 * p]
-        of_radius_part = np.zeros_like(p)
-        of_angle_part = np.zeros_like(p)
+        radial_part = np.zeros_like(p)
+        angular_part = np.zeros_like(p)
         for (half, m), strength in strengths.items():
             if half and strength:
-                of_radius_part += 2 * half * strength * radial[half - 1] * angular[m]
+                radial_part += 2 * half * strength * radial[half - 1] * angular[m]
             if m and strength:
-                of_angle_part += m * strength * radial[half] * angular[m - 1]
-        return of_radius_part * p + of_angle_part, of_radius_part * q
+                angular_part += m * strength * radial[half] * angular[m - 1]
+        return radial_part * p + angular_part, radial_part * q
 
 
 @lru_cache(maxsize=16)

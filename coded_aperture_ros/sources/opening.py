@@ -115,7 +115,7 @@ def open_source(
                 config, width=camera.image_width, height=camera.image_height
             )
         return DeviceSource(address, config, rate_hz)
-    # Of a stream, the sender says how large it is and how fast.
+    # The sender of a stream chooses its size and rate.
     if not text.startswith(_BAG) and ("://" in text or " ! " in text):
         return DeviceSource(text)
     return open_files(text, loop)

@@ -50,7 +50,7 @@ def test_autocorrelations_are_those_of_their_definition():
 
 def test_spectra_of_many_masks_are_those_of_each():
     masks = [Mask.named("levin"), Mask("random", GRIDS[0])]
-    frequencies = Frequencies.of_window()
+    frequencies = Frequencies.from_window()
     grids = np.array([mask.transmission for mask in masks])
     fast = autocorrelations(grids) @ lag_matrix(11, SCENE, frequencies)
     low = frequencies.radius < 0.2  # above, the pixels of rendered PSFs alias

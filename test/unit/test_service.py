@@ -10,7 +10,7 @@ from cli_scene import call, texture
 
 from coded_aperture_ros.calibration.service.focus import fit_focus
 from coded_aperture_ros.calibration.service.mask import fit_mask, turned
-from coded_aperture_ros.calibration.service.tracks import Tracks, tracks_of
+from coded_aperture_ros.calibration.service.tracks import Tracks, track_points
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera, Mask, load_camera, render_psf
 
@@ -98,7 +98,7 @@ def test_points_are_followed_and_do_not_drift():
     wide = cv2.GaussianBlur(cv2.resize(texture(256, 256), (400, 200)), (0, 0), 1.5)
     frames = [np.ascontiguousarray(wide[:, 3 * i : 3 * i + 240]) for i in range(12)]
     view = Camera(500.0, 1.0, 240, 200, MASK, 36.0).intrinsics
-    (found, *_) = tracks_of(frames, view)
+    (found, *_) = track_points(frames, view)
     moved_px = 500 * (found.places[-1] - found.places[0])
     alive = np.isfinite(moved_px[:, 0])
     assert alive.mean() > 0.5 and len(found.places) == 12

@@ -234,7 +234,7 @@ def test_the_blend_is_fitted_goes_on_and_is_what_the_package_runs(
         "pictures_0003.npz",
     ]
     stored = dict(np.load(shards / "pictures_0003.npz"))
-    for name, values in training["pictures"].pictures_of(3, shards / "banks").items():
+    for name, values in training["pictures"].list_pictures(3, shards / "banks").items():
         np.testing.assert_array_equal(stored[name][0], values)
         assert np.isfinite(values).all()
 

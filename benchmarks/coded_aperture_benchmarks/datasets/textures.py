@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.scores.crops import Textures, pictures_of
+from coded_aperture_ros.design.scores.crops import Textures, list_pictures
 
 TEXTURES = ("natural", "random", "soft")
 TEST_PICTURES = (
@@ -51,11 +51,11 @@ def load_textures(kind: str, folder: Path | None = None) -> Textures:
     if kind not in TEXTURES:
         raise InputError(f"unknown texture {kind!r}: use one of {', '.join(TEXTURES)}")
     if folder is not None:
-        paths = pictures_of(folder)
+        paths = list_pictures(folder)
         check_not_for_training((path.stem for path in paths), folder)
     else:
         paths = [_installed(name) for name in TEST_PICTURES if kind != "random"]
-    textures = Textures.of_files(kind, [] if kind == "random" else paths)
+    textures = Textures.from_files(kind, [] if kind == "random" else paths)
     if kind == "soft":
         return Textures(kind, tuple(_half(picture) for picture in textures.pictures))
     return textures
@@ -64,7 +64,7 @@ def load_textures(kind: str, folder: Path | None = None) -> Textures:
 @lru_cache(maxsize=1)
 def training_textures() -> Textures:
     """Return the textures of `TRAINING_PICTURES`."""
-    return Textures.of_files("training", [_installed(name) for name in TRAINING_PICTURES])
+    return Textures.from_files("training", [_installed(name) for name in TRAINING_PICTURES])
 
 
 def check_not_for_training(names: Iterable[str], where: object) -> None:

@@ -70,8 +70,8 @@ class MaskSpectra:
         """Derivatives of a function by parts and sizes, from those by power."""
         # Slope by slope: einsum would copy the operators, which takes longer than the products.
         by_lag = np.zeros((by_power.shape[1], len(self.lags)))
-        for of_slope, operator in zip(by_power, self.operators, strict=True):
-            by_lag += of_slope @ operator / 2
+        for slope_derivatives, operator in zip(by_power, self.operators, strict=True):
+            by_lag += slope_derivatives @ operator / 2
         by_correlation = np.zeros((len(by_lag), *self.torus))
         by_correlation[:, self.lags[:, 0], self.lags[:, 1]] += by_lag
         by_correlation[:, -self.lags[:, 0], -self.lags[:, 1]] += by_lag

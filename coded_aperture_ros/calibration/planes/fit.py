@@ -14,7 +14,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank import ThinLens
 
 # What lies farther from the line than this has another depth than it was said to have. Narrow blur
-# is often measured wrong by more, and tells little.
+# is often measured wrong by more, and has little information.
 _NARROW_PX = 4.5
 _NARROW_OUTLIER_PX = 1.8
 _OUTLIER_PX = 1.0
@@ -137,13 +137,13 @@ def _refuse_depths(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
             "picture, that focus and aperture stayed as they were, and that all planes are on one "
             "side of the focus"
         )
-    says = []
+    faults = []
     for i in off:
         like_m = float(fit.depth_m(signed[i]))
         like = f"{like_m:.3g} m" if np.isfinite(like_m) else "infinity"
-        says.append(f"{names[i]}: blurred as at {like}, not as at {depths[i]:g} m")
+        faults.append(f"{names[i]}: blurred as at {like}, not as at {depths[i]:g} m")
     raise InputError(
-        "; ".join(says) + ": correct the depth, or take the picture again; if the depths are "
+        "; ".join(faults) + ": correct the depth, or take the picture again; if the depths are "
         "right, the lens is focused elsewhere in the corners: see calibrate field"
     )
 

@@ -21,7 +21,7 @@ _SMALLEST_PX = 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
 MIN_ERROR_PX = 0.1
 _ITERATIONS = 20
-# A tilt is told if it is this sure, and so large.
+# Smallest ratio of a tilt to its error, and smallest tilt, that is reported.
 _SURE = 4.0
 _TILT_PX = 0.6
 
@@ -62,7 +62,7 @@ def measure_planes(
 
     Of the pattern only its mask is used, and how large it gets at most. `config` names its window.
     """
-    # Planes have no edges of depth: all frequencies tell.
+    # Planes have no depth edges: all frequencies are used.
     config = dataclasses.replace(config, highest_frequency=1.0, rank=RANK_OF_ALL)
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
@@ -99,7 +99,7 @@ def _measured(size_px: float, sizes_px: NDArray) -> MeasuredPlane:
         found, *_ = np.linalg.lstsq(roots * terms, roots[:, 0] * values, rcond=None)
         deviation = np.abs(values - terms @ found)
         weights = 1 / np.maximum(deviation, 0.02)
-    # Windows a quarter apart share most of their pixels: 16 of them tell about as much as four.
+    # Windows a quarter apart share most of their pixels: 16 have about the information of four.
     scatter = 1.48 * float(np.median(deviation)) * np.sqrt(4 / sizes_px.size)
     spread = [float(np.sqrt(np.mean(direction**2))) for direction in (right, down)]
     return MeasuredPlane(

@@ -15,7 +15,7 @@ from coded_aperture_ros.optics import Camera, FieldCurvature, Wavefront, psf_wid
 from coded_aperture_ros.optics.wavefront import TERM_NAMES, TERMS, field_tangents
 
 _STRIDE_PX = 24
-# More planes are slower and tell little more.
+# More planes are slower and add little information.
 _MAX_PLANES = 5
 # Prior of the lens: rims that cut off a little on either side of the corner. Not symmetric: power
 # spectra do not tell a PSF from itself turned by 180 degrees, and would give no gradient.

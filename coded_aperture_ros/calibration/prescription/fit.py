@@ -56,7 +56,7 @@ def traced_camera(
     half_mm = mask_mm / 2
     grid = np.linspace(-1, 1, _RAYS)
     square = np.stack(np.meshgrid(grid, grid, indexing="ij")).reshape(2, -1)
-    # First how large the stop looks from the front: rays near the axis tell.
+    # First the size of the entrance pupil, from rays near the axis.
     tried = lens.trace(1e3, 0.0, 0.01 * square)
     pupil = 0.01 * np.ptp(grid) / np.ptp(tried.stop[1])
     points = 1.15 * half_mm * pupil * square
@@ -137,7 +137,7 @@ def _solve(bundles: list[_Bundle], pitch_mm: float) -> tuple[DoubleArray, float]
         ]
         rows = np.stack(columns, axis=-1)
         seen = each.moved_px / pitch_mm
-        # Where the middle of the blur lies says nothing.
+        # The position of the blur is not part of the fit.
         rows = rows - np.average(rows, axis=1, weights=light)[:, None]
         seen = seen - np.average(seen, axis=1, weights=light)[:, None]
         weighted = rows * light[:, None]

@@ -82,7 +82,7 @@ def fit_fine(
         light = np.maximum(ahead - (normal(ahead) - wanted) / largest, 0)
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         if ((ahead - light) * (light - before)).sum() > 0:
-            following = 1.0  # past the minimum: gather speed anew
+            following = 1.0  # past the minimum: restart the momentum
         ahead = light + (momentum - 1) / following * (light - before)
         momentum = following
     return FinePsf(light / max(light.sum(), 1e-30), start.cell_px)

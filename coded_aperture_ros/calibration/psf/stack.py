@@ -9,7 +9,7 @@ from coded_aperture_ros.calibration.psf.centre import CentredPsf
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import PsfStack
 
-# PSFs whose blur sizes differ less are one: a level between them is not told apart.
+# PSFs whose blur sizes differ less are one: a level between them could not be distinguished.
 _MIN_DISTANCE_PX = 0.02
 
 

@@ -1,1 +1,1 @@
-"""What ordinary frames say of a lens that was set up before: no targets, no known distances."""
+"""Correction of a camera in service, from ordinary frames: no targets, no known distances."""

@@ -56,8 +56,8 @@ def fit_focus(
         followed = np.isfinite(tracks.places[..., 0]).sum(axis=0) >= _FEWEST_FRAMES
         known = np.isfinite(inverse_m) & np.isfinite(std) & followed
         if known.sum() >= _FEWEST_POINTS:
-            of_points = inverse_m[known], std[known]
-            shift, variance = _shift(tracks.places[:, known], *of_points, focal_length_px)
+            known_values = inverse_m[known], std[known]
+            shift, variance = _shift(tracks.places[:, known], *known_values, focal_length_px)
             found.append((shift, variance, float(np.median(inverse_m[known]))))
     if not found:
         raise InputError(
@@ -105,14 +105,14 @@ def _shift(
         _, by_pose, by_depth = _seen(state, rays, len(later))
         frame, point = np.nonzero(ok)
         rows = np.arange(len(frame))
-        of_flow = np.zeros((len(frame), 2, len(state)))
+        flow_slopes = np.zeros((len(frame), 2, len(state)))
         for axis in range(6):
-            of_flow[rows, :, 6 * frame + axis] = by_pose[frame, point, :, axis]
-        of_flow[rows, :, 6 * len(later) + point] = by_depth[frame, point]
-        of_depth = np.zeros((count, len(state)))
-        of_depth[np.arange(count), 6 * len(later) + np.arange(count)] = 1 / std
-        of_depth[:, -1] = 1 / std
-        return np.concatenate([weight * of_flow.reshape(-1, len(state)), of_depth])
+            flow_slopes[rows, :, 6 * frame + axis] = by_pose[frame, point, :, axis]
+        flow_slopes[rows, :, 6 * len(later) + point] = by_depth[frame, point]
+        depth_slopes = np.zeros((count, len(state)))
+        depth_slopes[np.arange(count), 6 * len(later) + np.arange(count)] = 1 / std
+        depth_slopes[:, -1] = 1 / std
+        return np.concatenate([weight * flow_slopes.reshape(-1, len(state)), depth_slopes])
 
     found = least_squares(
         left, begin, slopes, loss="soft_l1", f_scale=_OUTLIER, x_scale="jac", max_nfev=25

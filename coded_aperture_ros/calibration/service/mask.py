@@ -20,25 +20,26 @@ _MIDDLE = 0.25
 _PARTS = (2, 2)
 _LEVELS = 32
 _LEAST_BLUR_PX = 2.5
-# Windows that fit worst are of edges and of what moves; fewer of one PSF say little.
+# Share of the windows that are kept: those that fit worst are of edges and of moving objects; and
+# the smallest number of windows with one PSF.
 _KEPT = 0.8
 _FEWEST = 4
 _STRETCHES = 4
 _FEWEST_WINDOWS = 120
 _FINE = 8
-# Degrees that a mask may have turned where nothing tells.
+# Prior standard deviation of the rotation, degrees.
 _SPREAD_DEG = 3.0
 _STEP_DEG = 0.25
 _STEP = 0.05
 _TURNS_DEG = np.arange(-8.0, 8.1, 2.0)
 _SORTINGS = 2
 _ROUNDS = 3
-# Windows overlap, and so do what they tell of neighbouring frequencies.
+# Factor of the information that overlapping windows and neighbouring frequencies repeat.
 _REPEATED = 4.0
 _SURE = 5.0
 _COVERED = 0.3
 _MOST_COVERED = 6
-# That many PSFs tell about cells: those with the most windows.
+# Number of PSFs, those with the most windows, that the cells are fitted to.
 _GROUPS = 12
 
 
@@ -113,14 +114,14 @@ def fit_mask(
     turns = []
     seen = list[Windows]()
     for first in progress(range(0, len(frames), per_stretch)):
-        of_stretch = list(_windows(camera, frames[first : first + per_stretch]))
-        windows = sum(len(each.powers) for each in of_stretch)
+        stretch_windows = list(_windows(camera, frames[first : first + per_stretch]))
+        windows = sum(len(each.powers) for each in stretch_windows)
         if windows < _FEWEST_WINDOWS:
             raise InputError(
                 f"{windows} windows in {per_stretch} frames are too few to tell: give more frames"
             )
-        turns.append(_turn(scoring, of_stretch, sizes_px))
-        seen += of_stretch
+        turns.append(_turn(scoring, stretch_windows, sizes_px))
+        seen += stretch_windows
     state = np.array([np.mean(turns), *np.ones(len(open_cells))])
     covered: list[int] = []
     for _ in range(_SORTINGS):
@@ -135,11 +136,11 @@ def fit_mask(
 
 def _turn(scoring: Scoring, seen: list[Windows], sizes_px: DoubleArray) -> float:
     """Rotation of the mask, degrees, from the windows of a stretch."""
-    of_one_part = [each for each in seen if (each.tangent == seen[0].tangent).all()]
+    one_part = [each for each in seen if (each.tangent == seen[0].tangent).all()]
     cells = len(scoring.steps) - 1
     state = min(
         (np.array([degrees, *np.ones(cells)]) for degrees in _TURNS_DEG),
-        key=lambda state: _sorted(scoring, state, of_one_part, sizes_px[::4])[1],
+        key=lambda state: _sorted(scoring, state, one_part, sizes_px[::4])[1],
     )
     spread = np.array([_SPREAD_DEG, *scoring.steps[1:]])
     for _ in range(_SORTINGS):
@@ -235,9 +236,9 @@ def _sorted(
     found = []
     left = 0.0
     for tangent in {tuple(each.tangent) for each in seen}:
-        of_part = [each for each in seen if tuple(each.tangent) == tangent]
-        powers = np.concatenate([each.powers for each in of_part])
-        noise = float(np.median([each.noise for each in of_part]))
+        part_windows = [each for each in seen if tuple(each.tangent) == tangent]
+        powers = np.concatenate([each.powers for each in part_windows])
+        noise = float(np.median([each.noise for each in part_windows]))
         here = [Windows(float(s), np.array(tangent), powers, noise) for s in sizes_px]
         costs = np.stack([scoring.costs(state, each).min(axis=1) for each in here])
         best = costs.argmin(axis=0)

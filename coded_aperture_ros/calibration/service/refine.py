@@ -7,7 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.calibration.service.focus import FocusShift, fit_focus
 from coded_aperture_ros.calibration.service.mask import MaskState, fit_mask
-from coded_aperture_ros.calibration.service.tracks import Tracks, tracks_of
+from coded_aperture_ros.calibration.service.tracks import Tracks
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
@@ -16,10 +16,10 @@ from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
-_OF_MASK = 40  # frames; more tell little more
+_MAX_MASK_FRAMES = 40  # more frames add little information
 _LEAST_BLUR_PX = 2.5
 _LEVELS = 30
-# Of the blur of infinity: what is farther is told apart no more.
+# Largest level, as a share of the blur of infinity: farther depths cannot be distinguished.
 _FARTHEST = 0.97
 _WIDER = 1.05  # than the farthest by the camera as it was: it may have been refocused
 _CONFIDENT = 0.4
@@ -78,7 +78,7 @@ def refine_camera(camera: Camera, frames: Sequence[FloatArray], progress: Progre
     if camera.side != "far":
         raise InputError("expected a camera whose scene is beyond the focus (side: far)")
     largest_px = _WIDER * camera.blur_at_infinity_px
-    some = frames[:: -(-len(frames) // _OF_MASK)]
+    some = frames[:: -(-len(frames) // _MAX_MASK_FRAMES)]
     mask = fit_mask(camera, some, largest_px, progress)
     found = Refined(camera, mask, None, "")
     if found.is_turned or mask.covered.any():
@@ -106,7 +106,7 @@ def _tracked(
     bank = learn_bank_for_camera(camera, float(near_m), float(far_m), _LEVELS)
     everywhere = DepthConfig(confidence_threshold=0.0)
     pipeline = FramePipeline(bank, camera, everywhere, deblur=None)
-    for tracks in progress(list(tracks_of(frames, camera.intrinsics))):
+    for tracks in progress(list(track_points(frames, camera.intrinsics))):
         estimate = pipeline(frames[tracks.frame])
         at = tuple(tracks.points.T)
         assert estimate.depth_m is not None and estimate.std_dev_m is not None

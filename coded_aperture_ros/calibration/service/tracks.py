@@ -44,7 +44,7 @@ class Tracks:
     places: DoubleArray
 
 
-def tracks_of(frames: Sequence[FloatArray], view: Intrinsics) -> Iterator[Tracks]:
+def track_points(frames: Sequence[FloatArray], view: Intrinsics) -> Iterator[Tracks]:
     """Follow points through grey frames [rows, columns] of a video, in stretches."""
     # All alike: points would seem to move with the light.
     low, high = np.quantile([frame[::8, ::8] for frame in frames], (0.002, 0.998))

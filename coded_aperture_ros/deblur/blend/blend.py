@@ -89,8 +89,8 @@ class Blend(OpponentFilters[InverseHypotheses]):
         weights += (1 - weights.sum(axis=0)) / HYPOTHESES
         restored = [unpack_cells(_weighted_sum(cells, weights) + output[-1] * scale, shape)]
         for channel in channels[1:]:
-            of_colour = self._colour.compute(channel, steps, COLOUR_NOISE * allowed)
-            restored.append(unpack_cells(_weighted_sum(pack_cells(of_colour), weights), shape))
+            hypotheses = self._colour.compute(channel, steps, COLOUR_NOISE * allowed)
+            restored.append(unpack_cells(_weighted_sum(pack_cells(hypotheses), weights), shape))
         return _suppress_fringes(restored) if len(restored) > 1 else restored
 
 

@@ -39,11 +39,11 @@ def unpack_cells(values: FloatArray, shape: Shape) -> FloatArray:
     return parts.reshape(CELL_PX * rows, CELL_PX * columns)[: shape[0], : shape[1]]
 
 
-def mean_and_contrast(of_frame: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
+def mean_and_contrast(frame_cells: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
     """Local mean and contrast of the frame's cells [16, rows, columns], each [rows, columns]."""
     side = (_CONTRAST_CELLS, _CONTRAST_CELLS)
-    mean = cv2.blur(of_frame.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
-    power = np.mean((of_frame - mean) ** 2, axis=0)
+    mean = cv2.blur(frame_cells.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
+    power = np.mean((frame_cells - mean) ** 2, axis=0)
     power = cv2.blur(power, side, borderType=cv2.BORDER_REFLECT)
     scale = np.sqrt(power + np.float32((_MIN_SCALE * noise) ** 2) + np.float32(1e-8))
     return mean, scale

@@ -18,7 +18,7 @@ HYPOTHESES = len(_HYPOTHESIS_PAIRS) + 1
 # How far around a pixel the nearest and the farthest surface are looked for: about as far as light
 # of the largest blur comes from.
 _NEIGHBOURHOOD_PX = 9
-# How much larger a blur size is tried: what it changes tells how to correct an error of the depth.
+# Increment of the larger blur size, px: its effect shows how to correct an error of the depth.
 _INCREMENT_PX = 0.8
 
 
@@ -59,9 +59,9 @@ class InverseHypotheses(InverseFilters):
         def combine(top: int, _: int) -> None:
             band = slice(top, top + _BAND_ROWS)
             # All kernels of a pixel side by side, as all are needed at once.
-            of_pixels = np.ascontiguousarray(np.moveaxis(filtered[:, band], 0, -1))
+            pixel_kernels = np.ascontiguousarray(np.moveaxis(filtered[:, band], 0, -1))
             combine_hypotheses(
-                of_pixels, steps[:, band], table, _HYPOTHESIS_PAIRS, found[:-1, band]
+                pixel_kernels, steps[:, band], table, _HYPOTHESIS_PAIRS, found[:-1, band]
             )
 
         self._workers.each(combine, range(0, rows, _BAND_ROWS))

@@ -19,7 +19,7 @@ class Textures:
     pictures: tuple[FloatArray, ...]  # grey, 0 to 1; none for random texture
 
     @classmethod
-    def of_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
+    def from_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
         """Read pictures; colours become their mean."""
         images = [read_image(path) for path in paths]
         grey = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
@@ -50,7 +50,7 @@ class Textures:
         return crops
 
 
-def pictures_of(folder: Path) -> list[Path]:
+def list_pictures(folder: Path) -> list[Path]:
     """Pictures of a folder; an `InputError` if there are none."""
     paths = list(picture_files(folder)) if folder.is_dir() else []
     if not paths:

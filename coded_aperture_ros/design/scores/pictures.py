@@ -89,7 +89,7 @@ class PictureScorer:
         self._sharp = scipy.fft.rfft2(patches.astype(np.float32, copy=False))
         shapes = ((block.stop - block.start, window_px, window_px) for block in _blocks(count))
         white = (random.standard_normal(shape, dtype=np.float32) for shape in shapes)
-        self._noise = np.concatenate([self.spectra.of_windows(windows) for windows in white])
+        self._noise = np.concatenate([self.spectra.transform(windows) for windows in white])
 
     def depth_error(self, mask: Mask) -> DoubleArray:
         """Mean |level error| of a mask at each noise; raises `InputError` for one colour."""
@@ -115,7 +115,7 @@ class PictureScorer:
         for block in _blocks(len(blurred)):
             spectrum = self._sharp[block] * transfer[self.true_levels[block]]
             patches = scipy.fft.irfft2(spectrum, (side, side))
-            blurred[block] = self.spectra.of_windows(patches[:, middle, middle])
+            blurred[block] = self.spectra.transform(patches[:, middle, middle])
         return blurred
 
 
@@ -135,7 +135,7 @@ class WindowSpectra:
         self.multiplicity = multiplicity[self._counts]
         self._prior = NaturalImagePrior()
 
-    def of_windows(self, windows: FloatArray) -> NDArray[np.complex64]:
+    def transform(self, windows: FloatArray) -> NDArray[np.complex64]:
         """Spectra [N, K] of windows [N, n, n]; white noise has the power s^2."""
         half = self.window_px // 2
         weighted = windows * (self._window[:, None] * self._window)
@@ -153,8 +153,8 @@ class WindowSpectra:
         torus = 2 * self.window_px
         transfer = scipy.fft.rfft2(psfs, (torus, torus))
         gain = transfer.real**2 + transfer.imag**2
-        of_window = scipy.fft.rfft(self._window, torus)
-        overlap = scipy.fft.irfft(of_window.real**2 + of_window.imag**2, torus)
+        window_transform = scipy.fft.rfft(self._window, torus)
+        overlap = scipy.fft.irfft(window_transform.real**2 + window_transform.imag**2, torus)
         spectra = []
         for slope in self._prior.slopes:
             # The scale is that of four windows, as in `WindowedFourierBasis.expected_power`.

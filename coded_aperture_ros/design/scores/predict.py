@@ -51,7 +51,7 @@ _TEXTURES = (
     _Texture(True, 10**-0.5, 4.0, 0.05),
     _Texture(False, 10**-0.5, 16.0, 6.4),
 )
-# Of deblurring: the closed form's own reckoning with errors of the model, and texture's variance.
+# For deblurring: the model error of the closed form, and the variance of the texture.
 _DEBLUR_ERROR = 0.06
 _DEBLUR_CONTRAST = 2e-2
 _LEVELS_TO_DEBLUR = 8
@@ -84,7 +84,7 @@ class MaskScorer:
         check_sigmas(sigmas)
         self.scene = scene or SceneConfig()
         self.sigmas = tuple(sigmas)
-        self.frequencies = Frequencies.of_window()
+        self.frequencies = Frequencies.from_window()
         self._matrices: dict[int, FloatArray] = {}
         levels = np.arange(self.scene.levels, dtype=np.float32)
         self._steps = np.abs(levels[:, None] - levels)
@@ -198,7 +198,8 @@ def _distances(logs: FloatArray, slope: FloatArray) -> FloatArray:
 
     For log variances that differ by D they are ``sum log cosh(D / 2)``, near 0 the sum of
     ``D^2 / 8``. Noise adds the same to all of D, contrast as much as texture exceeds noise, and
-    slope that times the logarithm of the frequency: they tell no levels apart, and are taken out.
+    slope that times the logarithm of the frequency: they do not distinguish levels, and are taken
+    out.
     """
     texture = 1 - np.exp(-logs.mean(axis=1))  # [B, K]
     nuisances = np.stack([np.ones_like(texture), texture, texture * slope], axis=1)

@@ -77,7 +77,7 @@ class Frequencies:
     horizontal: IndexArray
 
     @staticmethod
-    def of_window() -> "Frequencies":
+    def from_window() -> "Frequencies":
         """Frequencies of a Hann window of `WINDOW_PX`; neighbours share their information."""
         half = WINDOW_PX // 2
         vertical, horizontal = np.meshgrid(
@@ -127,10 +127,12 @@ def lag_matrix(cells: int, scene: SceneConfig, frequencies: Frequencies) -> Floa
     rows = []
     for size in scene.blur_sizes_px:
         cell = size / cells
-        of_cell = np.sinc(vertical * cell)[:, :, None] * np.sinc(horizontal * cell)[:, None, :]
+        cell_transform = (
+            np.sinc(vertical * cell)[:, :, None] * np.sinc(horizontal * cell)[:, None, :]
+        )
         rightward = np.exp(2j * np.pi * cell * horizontal[:, :, None] * right)
         downward = np.exp(2j * np.pi * cell * vertical[:, None, :] * down[:, None])
-        rows.append((downward @ ((texture * of_cell**2) @ rightward)).real)
+        rows.append((downward @ ((texture * cell_transform**2) @ rightward)).real)
     return np.array(rows).reshape(-1, len(down) * cells).T.astype(np.float32)
 
 

@@ -68,9 +68,9 @@ class Front:
 
 def not_beaten(scores: DoubleArray) -> BoolArray:
     """Which rows [N, objectives] no other row is at least as good as in all, and better in one."""
-    as_good = (scores[:, None] <= scores).all(axis=2)
+    not_worse = (scores[:, None] <= scores).all(axis=2)
     better = (scores[:, None] < scores).any(axis=2)
-    return np.asarray(~(as_good & better).any(axis=0))
+    return np.asarray(~(not_worse & better).any(axis=0))
 
 
 @dataclasses.dataclass(frozen=True)

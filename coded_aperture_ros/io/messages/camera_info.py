@@ -28,8 +28,10 @@ def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) ->
         return None
     whole = int(info.width * x + 1e-6), int(info.height * y + 1e-6)
     angle = camera.focal_length_px / camera.image_width
-    of_frames, of_whole = (abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole[0]))
-    if of_frames < of_whole:
+    frame_error, whole_error = (
+        abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole[0])
+    )
+    if frame_error < whole_error:
         return View.whole(width, height)
     return View(width, height, *whole, left * x, top * y, max(info.binning_x, info.binning_y) > 1)
 

@@ -138,7 +138,7 @@ def furniture(random: np.random.Generator, side: int) -> FloatArray:
 
 
 def person(random: np.random.Generator, side: int) -> FloatArray:
-    """Draw somebody who stands there: head, trunk, arms and legs."""
+    """Draw a standing person: head, trunk, arms and legs."""
     canvas = np.zeros((side, side), np.float32)
     scale = random.uniform(0.25, 0.8) * side
     left, top = random.uniform(0, 0.9, 2) * side - [0, 0.2 * side]
