@@ -90,7 +90,7 @@ def test_cost_is_that_of_the_filter_bank(patches, name):
     of_bank = bank.energies(windows.reshape(-1, WINDOW_PX), WINDOW_PX, noise)[:, 0].copy()
 
     spectra = WindowSpectra(WINDOW_PX)
-    power = np.abs(spectra.of_windows(windows)) ** 2
+    power = np.abs(spectra.transform(windows)) ** 2
     cost = spectra.cost(power, spectra.expected(stack.psfs), noise)
     levels = likeliest_levels(cost)
     assert np.mean(levels == of_bank.argmin(axis=1)) > 0.85
@@ -107,7 +107,7 @@ def test_patches_are_blurred_around_their_middle(patches):
     mask = Mask.named("three_wide")
     scorer = scorer_of(patches)
     psfs = render_psf_stack(mask, SCENE.blur_sizes_px).psfs
-    expected = scorer.spectra.of_windows(blurred_windows(scorer, patches, psfs))
+    expected = scorer.spectra.transform(blurred_windows(scorer, patches, psfs))
     np.testing.assert_allclose(scorer._blurred(psfs), expected, atol=1e-4)
 
 
@@ -128,7 +128,7 @@ def test_expected_power_is_that_of_the_bank():
 def test_white_noise_has_the_power_of_its_variance():
     windows = 3 * np.random.default_rng(0).standard_normal((200, 50, 50), np.float32)
     spectra = WindowSpectra(50)
-    power = np.abs(spectra.of_windows(windows)) ** 2
+    power = np.abs(spectra.transform(windows)) ** 2
     assert power.shape[1] == len(spectra.multiplicity)
     assert power.mean() == pytest.approx(9, rel=0.02)
 
