@@ -172,7 +172,7 @@ def test_what_cannot_be_predicted_is_refused(patches):
     with pytest.raises(InputError, match="31 px does not fit the 30 px window"):
         PictureScorer(patches, SCENE, window_px=30)
     for name in ("motion_px", "diffraction_px"):
-        with pytest.raises(InputError, match=f"{name}: the prediction from pictures"):
+        with pytest.raises(InputError, match=f"{name}: not supported by the prediction"):
             PictureScorer(patches, SceneConfig(levels=8, **{name: 1.0}), window_px=WINDOW_PX)
     full = Mask("full", np.ones((5, 5)))
     with pytest.raises(InputError, match="mask full: all cells have one colour"):
