@@ -7,7 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.calibration.service.focus import FocusShift, fit_focus
 from coded_aperture_ros.calibration.service.mask import MaskState, fit_mask
-from coded_aperture_ros.calibration.service.tracks import Tracks
+from coded_aperture_ros.calibration.service.tracks import Tracks, track_points
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
