@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate
-from coded_aperture_ros.design.setting import design_setting, resolutions_m
+from coded_aperture_ros.design.setting import Setting, design_setting, resolutions_m
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
@@ -47,68 +47,81 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
     Raises `InputError` if the range is not one of the camera's.
     """
     setting = design_setting(camera, near_m, far_m)
+    return [
+        _resolution(camera, setting, near_m, far_m),
+        _blur(setting),
+        _diffraction(setting),
+        _open_area(setting),
+    ]
+
+
+def _resolution(camera: Camera, setting: Setting, near_m: float, far_m: float) -> Finding:
     resolutions = resolutions_m(camera, near_m, far_m)
-    numbers = {f"{name}_m": step for name, (_, step) in resolutions.items()}
     steps = ", ".join(
         f"{step:.2g} m at {depth:.3g} m" if math.isfinite(step) else f"none beyond {depth:.3g} m"
         for depth, step in resolutions.values()
     )
-    few = setting.levels < _FEW_LEVELS
-    fewest = setting.levels < _MIN_LEVELS
-    resolution_state = FAILED if fewest else WARNING if few else OK
+    state = OK
+    if setting.levels < _FEW_LEVELS:
+        state = FAILED if setting.levels < _MIN_LEVELS else WARNING
+    remedy = "focus nearer to the scene, or use a wider mask: see design"
+    return Finding(
+        "depth resolution",
+        state,
+        f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
+        f"steps of {steps}",
+        "" if state == OK else remedy,
+        {
+            "levels": setting.levels,
+            **{f"{name}_m": step for name, (_, step) in resolutions.items()},
+        },
+    )
+
+
+def _blur(setting: Setting) -> Finding:
     holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
-    blur_state = (
-        FAILED
-        if largest_px < _MIN_HOLE_BLUR_PX
-        else OK
-        if holes_px > _MIN_HOLE_BLUR_PX
-        else WARNING
-    )
-    diffracts = setting.airy_radius_px > _MAX_AIRY_RADIUS_PX
-    f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
-    light = setting.open_fraction
-    dark = light < _MIN_OPEN_FRACTION
-    wider_holes = (
+    state = OK
+    if not holes_px > _MIN_HOLE_BLUR_PX:
+        state = FAILED if largest_px < _MIN_HOLE_BLUR_PX else WARNING
+    remedy = (
         "holes below half a pixel code nothing: use a wider mask, or focus farther from the scene"
     )
-    return [
-        Finding(
-            "depth resolution",
-            resolution_state,
-            f"{setting.levels:.3g} depths can be told apart from {near_m:g} to {far_m:g} m, "
-            f"steps of {steps}",
-            ""
-            if resolution_state == OK
-            else "focus nearer to the scene, or use a wider mask: see calibrate",
-            {"levels": setting.levels, **numbers},
-        ),
-        Finding(
-            "blur",
-            blur_state,
-            f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
-            f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
-            f"{holes_px:.2g} px or more",
-            "" if blur_state == OK else wider_holes,
-            {"smallest_hole_px": holes_px},
-        ),
-        Finding(
-            "diffraction",
-            WARNING if diffracts else OK,
-            f"{f_number}the smallest hole of {setting.hole_width_mm:.2g} mm has an Airy disc of "
-            f"{setting.airy_radius_px:.2g} px radius",
-            f"use holes of {setting.diffraction_limit_mm:.2g} mm or more" if diffracts else "",
-            {"airy_radius_px": setting.airy_radius_px, "f_number": setting.f_number},
-        ),
-        Finding(
-            "light",
-            WARNING if dark else OK,
-            f"the mask passes {100 * light:.0f} % of the light of its open square, "
-            f"{-math.log2(light):.1f} stops less",
-            "expose longer, or use a mask with more open area" if dark else "",
-            {"open_fraction": light},
-        ),
-    ]
+    return Finding(
+        "blur",
+        state,
+        f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
+        f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
+        f"{holes_px:.2g} px or more",
+        "" if state == OK else remedy,
+        {"smallest_hole_px": holes_px},
+    )
+
+
+def _diffraction(setting: Setting) -> Finding:
+    hidden = setting.airy_radius_px > _MAX_AIRY_RADIUS_PX
+    f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
+    return Finding(
+        "diffraction",
+        WARNING if hidden else OK,
+        f"{f_number}the smallest hole of {setting.hole_width_mm:.2g} mm has an Airy disc of "
+        f"{setting.airy_radius_px:.2g} px radius",
+        f"use holes of {setting.diffraction_limit_mm:.2g} mm or more" if hidden else "",
+        {"airy_radius_px": setting.airy_radius_px, "f_number": setting.f_number},
+    )
+
+
+def _open_area(setting: Setting) -> Finding:
+    light = setting.open_fraction
+    dark = light < _MIN_OPEN_FRACTION
+    return Finding(
+        "light",
+        WARNING if dark else OK,
+        f"the mask passes {100 * light:.0f} % of the light of its open square, "
+        f"{-math.log2(light):.1f} stops less",
+        "expose longer, or use a mask with more open area" if dark else "",
+        {"open_fraction": light},
+    )
 
 
 class FrameCheckup:
