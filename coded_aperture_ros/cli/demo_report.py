@@ -9,11 +9,18 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.bags.score import at_size
+from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.text import rounded
+from coded_aperture_ros.frames import SRGB, pixels_from_linear
+from coded_aperture_ros.io import depth_picture, error_picture, write_image
+from coded_aperture_ros.io.panels import panels
+from coded_aperture_ros.metrics.errors import psnr_db
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
 _LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
@@ -25,8 +32,6 @@ _LARGEST_ERROR = 0.1
 
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     """Return what was measured, ready for JSON; latencies are from the stamp to the reception."""
-    import numpy as np
-
     from coded_aperture_ros.ros import demo_monitor
     from coded_aperture_ros.ros.diagnostics import percentiles
 
@@ -53,11 +58,8 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     return summary
 
 
-def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[str, Any]) -> None:
+def write_results(output: Path, snapshot: dict[str, NDArray], summary: dict[str, Any]) -> None:
     """Write the pictures, the summary, and a page that has both and needs no other file."""
-    from coded_aperture_ros.core.files import atomic_output
-    from coded_aperture_ros.frames import SRGB
-    from coded_aperture_ros.io import depth_picture, write_image
     from coded_aperture_ros.ros.demo_monitor import CODED, DEBLURRED, DEPTH
 
     write_image(output / "coded.png", snapshot[CODED], bits=8, gamma=SRGB)
@@ -73,14 +75,8 @@ def write_results(output: Path, snapshot: "dict[str, NDArray]", summary: dict[st
         path.write_text(page, "utf-8")
 
 
-def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
+def _comparison(snapshot: dict[str, NDArray]) -> NDArray:
     """Return what was found beside what is there, in one picture."""
-    import numpy as np
-
-    from coded_aperture_ros.bags.score import at_size
-    from coded_aperture_ros.frames import SRGB, pixels_from_linear
-    from coded_aperture_ros.io import depth_picture, error_picture
-    from coded_aperture_ros.io.panels import panels
     from coded_aperture_ros.ros import demo_monitor as topics
 
     found = at_size(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
@@ -89,7 +85,7 @@ def _comparison(snapshot: "dict[str, NDArray]") -> "NDArray":
     near_m, far_m = map(float, (known.min(), known.max())) if known.size else (1.0, 2.0)
     error = np.abs(found - truth) / truth
 
-    def light(topic: str) -> "NDArray":
+    def light(topic: str) -> NDArray:
         picture = pixels_from_linear(snapshot[topic], 8, SRGB)
         return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
 
@@ -153,9 +149,8 @@ class Speaker:
         self._drawn = len(lines) if self.redraws else 0
 
 
-def figures_of_snapshot(snapshot: "dict[str, NDArray]") -> dict[str, Any]:
+def figures_of_snapshot(snapshot: dict[str, NDArray]) -> dict[str, Any]:
     """Return what one frame and its results say, ready for JSON."""
-    from coded_aperture_ros.metrics.errors import psnr_db
     from coded_aperture_ros.ros import demo_monitor as topics
 
     sharp, depth_m = snapshot[topics.TRUE_IMAGE], snapshot[topics.DEPTH]
@@ -172,7 +167,6 @@ def figures_of_snapshot(snapshot: "dict[str, NDArray]") -> dict[str, Any]:
 
 
 def _median(values: Sequence[float]) -> float | None:
-    import numpy as np
 
     known = [value for value in values if math.isfinite(value)]
     return rounded(float(np.median(known)), 4) if known else None
