@@ -13,6 +13,7 @@ from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.frames import ExpectedMotion
+from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import check_setting, load_bank
 from coded_aperture_ros.likelihood.choose import new_model
 from coded_aperture_ros.optics import Camera
@@ -80,6 +81,12 @@ def make_pipeline(
             progress=lambda vectors: progress(vectors, unit="motion"),
         )
         pipeline = FramePipeline(model, camera, config, deblur)
+    _warn(model, config, warns_of_sides)
+    return pipeline
+
+
+def _warn(model: LikelihoodModel, config: DepthConfig, warns_of_sides: bool) -> None:
+    """Warn of what the model cannot do; a `UsageError` if the smoothness is of no use."""
     if note := refinement_note(model, config):
         logging.warning(note)
     elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
@@ -87,7 +94,6 @@ def make_pipeline(
         raise UsageError(f"--smoothness: --regularize {config.regularize} has none, use {others}")
     if warns_of_sides and (warning := side_warning(model)):
         logging.warning(warning)
-    return pipeline
 
 
 def known_motion(args: EstimationArguments, camera: Camera | None) -> ExpectedMotion | None:
