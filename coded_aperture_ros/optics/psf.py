@@ -16,7 +16,7 @@ from coded_aperture_ros.optics.mask import Mask
 _SCHEMA = "coded-aperture PSF stack"
 _SCHEMA_VERSION = 1
 # Below this the PSF is a single pixel anyway; it only keeps the division by the cell width safe.
-_SMALLEST_SIZE_PX = 1e-6
+_MIN_SIZE_PX = 1e-6
 
 
 def render_psf(
@@ -76,7 +76,7 @@ def render_psf(
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
     pixels = psf_width(size) if width_px is None else width_px
-    cell_px = max(size, _SMALLEST_SIZE_PX) / max(cells.shape)
+    cell_px = max(size, _MIN_SIZE_PX) / max(cells.shape)
     rows = cell_shares(pixels, cells.shape[0], cell_px, centre_px[0])
     columns = cell_shares(pixels, cells.shape[1], cell_px, centre_px[1])
     psf = rows @ cells @ columns.T

@@ -14,7 +14,7 @@ from coded_aperture_ros.likelihood.bank.pattern import ThinLens
 # Curvatures of the likelihood differ: in these units a focus, or the logarithm of a size, is as
 # soft as the mask's cells.
 _UNIT = 0.02
-_LARGEST_RATIO = 0.95
+_MAX_RATIO = 0.95
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class LensSizes:
     @property
     def bounds(self) -> tuple[float, float]:
         """From no blur of the nearest to the focus to nearly as much as that of the others."""
-        return 0.0, _LARGEST_RATIO / _UNIT
+        return 0.0, _MAX_RATIO / _UNIT
 
     def moved(self, variables: DoubleArray) -> "LensSizes":
         """See `FreeSizes`."""

@@ -17,7 +17,7 @@ from coded_aperture_ros.optics import render_psf_stack
 # Blur sizes to choose from: beyond those of all planes on either side.
 _SIZES = 48
 _BEYOND = 1.2
-_SMALLEST_PX = 0.5
+_MIN_SIZE_PX = 0.5
 # Whole sizes are this uncertain even on the best of planes; sharp planes are worse.
 MIN_ERROR_PX = 0.1
 _ITERATIONS = 20
@@ -66,7 +66,7 @@ def measure_planes(
     config = dataclasses.replace(config, highest_frequency=1.0, rank=RANK_OF_ALL)
     largest = _BEYOND * float(np.abs(pattern.blur_size_px(planes.depths_m)).max())
     largest = min(largest, config.window_px - 1)
-    sizes_px = np.linspace(_SMALLEST_PX, largest, _SIZES)
+    sizes_px = np.linspace(_MIN_SIZE_PX, largest, _SIZES)
     bank = learn_bank(
         render_psf_stack(pattern.mask, sizes_px), config, components=pattern.components(sizes_px)
     )

@@ -23,7 +23,7 @@ PsfAt = Callable[[DoubleArray], DoubleArray]
 
 _ROUNDS = 4
 _CLOSE_PX = 1e-3
-_LARGEST_MISFIT = 0.5
+_MAX_MISFIT = 0.5
 _PIXEL_VARIANCE = 1 / 12
 # Dots are compared at several places on the pixels: at one, two blur sizes may look the same.
 _PHASES = np.array([(0.0, 0.0), (0.0, 0.5), (0.5, 0.0), (0.5, 0.5)])
@@ -75,7 +75,7 @@ def centred(
         place = place - move
         if np.abs(move).max() < _CLOSE_PX:
             break
-    if mask is not None and not misfit <= _LARGEST_MISFIT:
+    if mask is not None and not misfit <= _MAX_MISFIT:
         raise InputError(
             f"the PSF differs from that of mask {mask.name} by {misfit:.0%}: check which mask is "
             "in the lens, and its orientation"

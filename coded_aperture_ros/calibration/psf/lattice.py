@@ -24,7 +24,7 @@ _BACKGROUND = 0.1
 # lie on each other are not more than half as high.
 _STEP_HEIGHT = 0.7
 # Least height over that without shift, for which noise alone is too low.
-_LEAST_HEIGHT = 0.1
+_MIN_HEIGHT = 0.1
 _SMOOTHING = 0.3
 _DIMMEST = 0.25
 # How far from its place a dot may be, in steps.
@@ -86,7 +86,7 @@ def _basis(light: NDArray) -> NDArray:
     peaks &= np.hypot(down[:, None], right[None, :]) >= _SHORTEST_STEP_PX
     rows, columns = np.nonzero(peaks)
     heights = correlation[rows, columns]
-    if not heights.size or not heights.max() > max(_LEAST_HEIGHT * sums[0, 0] / light.size, 1e-12):
+    if not heights.size or not heights.max() > max(_MIN_HEIGHT * sums[0, 0] / light.size, 1e-12):
         raise InputError(f"no dots that repeat: {_ADVICE}")
     vectors = np.stack([down[rows], right[columns]], axis=1)
     vectors = vectors[heights > _STEP_HEIGHT * heights.max()].astype(np.float64)

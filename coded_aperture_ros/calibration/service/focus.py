@@ -15,8 +15,8 @@ from coded_aperture_ros.calibration.service.tracks import Tracks
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 
-_FEWEST_POINTS = 40
-_FEWEST_FRAMES = 6
+_MIN_POINTS = 40
+_MIN_FRAMES = 6
 _TRACK_PX = 0.25
 _OUTLIER = 2.0
 # What of a depth by blur is common to its neighbourhood, and so is no less by many points.
@@ -53,9 +53,9 @@ def fit_focus(
     """
     found: list[tuple[float, float, float]] = []
     for tracks, inverse_m, std in tracked:
-        followed = np.isfinite(tracks.places[..., 0]).sum(axis=0) >= _FEWEST_FRAMES
+        followed = np.isfinite(tracks.places[..., 0]).sum(axis=0) >= _MIN_FRAMES
         known = np.isfinite(inverse_m) & np.isfinite(std) & followed
-        if known.sum() >= _FEWEST_POINTS:
+        if known.sum() >= _MIN_POINTS:
             known_values = inverse_m[known], std[known]
             shift, variance = _shift(tracks.places[:, known], *known_values, focal_length_px)
             found.append((shift, variance, float(np.median(inverse_m[known]))))

@@ -19,13 +19,13 @@ _STRIDE_PX = 32
 _MIDDLE = 0.25
 _PARTS = (2, 2)
 _LEVELS = 32
-_LEAST_BLUR_PX = 2.5
+_MIN_BLUR_PX = 2.5
 # Share of the windows that are kept: those that fit worst are of edges and of moving objects; and
 # the smallest number of windows with one PSF.
 _KEPT = 0.8
-_FEWEST = 4
+_MIN_WINDOWS = 4
 _STRETCHES = 4
-_FEWEST_WINDOWS = 120
+_MIN_STRETCH_WINDOWS = 120
 _FINE = 8
 # Prior standard deviation of the rotation, degrees.
 _SPREAD_DEG = 3.0
@@ -38,7 +38,7 @@ _ROUNDS = 3
 _REPEATED = 4.0
 _SURE = 5.0
 _COVERED = 0.3
-_MOST_COVERED = 6
+_MAX_COVERED = 6
 # Number of PSFs, those with the most windows, that the cells are fitted to.
 _GROUPS = 12
 
@@ -110,13 +110,13 @@ def fit_mask(
     open_cells = np.argwhere(camera.mask.transmission > 0)
     steps = np.array([_STEP_DEG, *np.full(len(open_cells), _STEP)])
     scoring = Scoring(_Fitted(camera, open_cells).psf, steps)
-    sizes_px = np.linspace(_LEAST_BLUR_PX, largest_px, _LEVELS)
+    sizes_px = np.linspace(_MIN_BLUR_PX, largest_px, _LEVELS)
     turns = []
     seen = list[Windows]()
     for first in progress(range(0, len(frames), per_stretch)):
         stretch_windows = list(_windows(camera, frames[first : first + per_stretch]))
         windows = sum(len(each.powers) for each in stretch_windows)
-        if windows < _FEWEST_WINDOWS:
+        if windows < _MIN_STRETCH_WINDOWS:
             raise InputError(
                 f"{windows} windows in {per_stretch} frames are too few to tell: give more frames"
             )
@@ -170,7 +170,7 @@ def _covered(
     chosen: list[int] = []
     moved = np.zeros(0)
     gained = 0.0
-    while len(chosen) < _MOST_COVERED:
+    while len(chosen) < _MAX_COVERED:
         tried = [[*chosen, cell] for cell in range(len(cells)) if cell not in chosen]
         gains = [(*_gain(gradient, information, each), each) for each in tried]
         best = max(
@@ -248,6 +248,6 @@ def _sorted(
         left += float(least[kept].sum())
         for level, each in enumerate(here):
             inside = kept & (best == level)
-            if inside.sum() >= _FEWEST:
+            if inside.sum() >= _MIN_WINDOWS:
                 found.append(dataclasses.replace(each, powers=powers[inside]))
     return found, left

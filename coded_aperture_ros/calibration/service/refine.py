@@ -17,7 +17,7 @@ from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
 _MAX_MASK_FRAMES = 40  # more frames add little information
-_LEAST_BLUR_PX = 2.5
+_MIN_BLUR_PX = 2.5
 _LEVELS = 30
 # Largest level, as a share of the blur of infinity: farther depths cannot be distinguished.
 _FARTHEST = 0.97
@@ -101,7 +101,7 @@ def _tracked(
     camera: Camera, frames: Sequence[FloatArray], progress: Progress
 ) -> Iterator[tuple[Tracks, DoubleArray, DoubleArray]]:
     """Tracked points with their inverse depths by blur, and the errors of these; NaN is unknown."""
-    ends_px = _LEAST_BLUR_PX, _FARTHEST * camera.blur_at_infinity_px
+    ends_px = _MIN_BLUR_PX, _FARTHEST * camera.blur_at_infinity_px
     near_m, far_m = camera.depth_m(ends_px)
     bank = learn_bank_for_camera(camera, float(near_m), float(far_m), _LEVELS)
     everywhere = DepthConfig(confidence_threshold=0.0)

@@ -13,8 +13,8 @@ from coded_aperture_ros.optics import Intrinsics
 Picture = NDArray[np.uint8]
 # A stretch ends where so many points are lost, or with so many frames.
 _LEFT = 0.35
-_MOST_FRAMES = 40
-_MOST_POINTS = 400
+_MAX_FRAMES = 40
+_MAX_POINTS = 400
 _APART_PX = 10
 _QUALITY = 0.005
 _WINDOW_PX = 31
@@ -53,13 +53,13 @@ def track_points(frames: Sequence[FloatArray], view: Intrinsics) -> Iterator[Tra
     rays = view.rays(rows, columns)
     start = 0
     while start < len(frames) - 1:
-        first = cv2.goodFeaturesToTrack(pictures[start], _MOST_POINTS, _QUALITY, _APART_PX)
+        first = cv2.goodFeaturesToTrack(pictures[start], _MAX_POINTS, _QUALITY, _APART_PX)
         end = start + 1
         if first is not None:
             seen = [first[:, 0]]
             here = first
             alive = np.ones(len(first), bool)
-            for end in range(start + 1, min(start + _MOST_FRAMES, len(frames))):
+            for end in range(start + 1, min(start + _MAX_FRAMES, len(frames))):
                 here, found = _followed(pictures[start], pictures[end - 1 : end + 1], first, here)
                 x, y = here[:, 0].T
                 alive &= found & (x > _MARGIN_PX) & (x < columns - _MARGIN_PX)

@@ -13,7 +13,7 @@ DEPTH_FORMATS = ("png", "rvl")
 _HEADER = struct.Struct("<i2f")
 # Steps of inverse depth to a metre's: image_transport's own number, a tenth of a millimetre at 1 m.
 _STEPS = 10_100.0
-_LARGEST = 65535
+_MAX_VALUE = 65535
 # Robots have little time and a fast network.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
 _JPEG = (cv2.IMWRITE_JPEG_QUALITY, 95)
@@ -52,7 +52,7 @@ def compressed_depth(depth: NDArray, kind: str = "png") -> tuple[bytes, str]:
     if depth.dtype == np.float32:
         known = np.isfinite(depth) & (depth > 0)
         nearest = float(depth[known].min()) if known.any() else 1.0
-        scale = min(_STEPS, (_LARGEST - 1) * nearest)
+        scale = min(_STEPS, (_MAX_VALUE - 1) * nearest)
         # 0 is unknown; a decoder divides by the value less 1.
         inverse = np.float32(scale) / np.where(known, depth, np.float32(np.inf)) + np.float32(1)
         kept = known | (depth == np.inf)
