@@ -82,6 +82,9 @@ BENCHMARKS: dict[str, Group | Entry] = {
     ),
     "sign": Entry("the side of the focal plane: in front or behind", "suites.sign"),
     "trust": Entry("what is made of frames that do not fit their bank", "suites.trust"),
+    "unlearned": Entry(
+        "frames that do not fit in ways that the check has not learned", "suites.unlearned"
+    ),
     "fitting": Entry(
         "frames that fit their bank, and videos whose light changes", "suites.fitting"
     ),
