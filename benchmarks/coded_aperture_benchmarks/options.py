@@ -73,7 +73,12 @@ JOBS = option(
     type=at_least(1),
     metavar="N",
 )
+PREDICTIONS = option(
+    "--predictions", "keep depth maps in this folder, and take those that it has", metavar="DIR"
+)
 RESULTS = (JOBS, JSON, OUTPUT)
+# Of benchmarks that predict depth of single frames.
+DEPTH_RESULTS = (PREDICTIONS, *RESULTS)
 IMAGES = option("--images", "pictures of this folder instead of the built-in ones", metavar="DIR")
 PICTURES = (
     IMAGES,

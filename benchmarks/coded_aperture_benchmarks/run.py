@@ -4,6 +4,7 @@ import argparse
 import dataclasses
 import json
 import math
+import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.processes import map_in_processes
 
 RESULTS = "results.json"
+# Names the folder of predictions in the environment, which other processes inherit.
+PREDICTIONS = "CODED_APERTURE_PREDICTIONS"
 
 Row = dict[str, Any]
 
@@ -56,11 +59,14 @@ class Suite:
 def run(suite: Suite, args: argparse.Namespace) -> int:
     """Measure all cells of a suite, then write and print the results; return the exit status.
 
-    Of the options, `jobs` says how many processes share the work (1 without it), `output` names
-    a folder for JSON and figures, and `json` asks for JSON instead of tables.
+    Of the options, `predictions` names a folder that keeps depth maps, `jobs` says how many
+    processes share the work (1 without it), `output` names a folder for JSON and figures, and
+    `json` asks for JSON instead of tables.
     """
     cells = suite.cells(args)
     folder = _output_folder(args)
+    if getattr(args, "predictions", None) is not None:
+        os.environ[PREDICTIONS] = str(Path(args.predictions).resolve())
     start = time.perf_counter()
     measured = map_in_processes(suite.measure, cells, getattr(args, "jobs", 1), "cell")
     seconds = round(time.perf_counter() - start, 1)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from cli_scene import CAMERA, call, json_of, texture
 from coded_aperture_benchmarks.datasets.random_scenes import RandomScene
-from coded_aperture_benchmarks.datasets.ray_traced import bank_for
 from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.methods.deblurring import ahead, ahead_text, own_methods
+from coded_aperture_benchmarks.methods.depth import CameraBank
 from coded_aperture_benchmarks.metrics.restoration import (
     deblurring_error,
     noise_of,
@@ -443,7 +443,7 @@ def test_about_two_thirds_of_the_errors_are_within_a_standard_deviation(method):
     within, ratios = [], []
     for seed in (2_000_101, 2_000_103, 2_000_107):
         (scene,) = RandomScene(seed, "far", (240, 320)).views("levin")
-        bank = bank_for(scene.camera, scene.depth_m, 30)
+        bank = CameraBank.of_scene(scene.camera, scene.depth_m, 30).learn()
         noise = np.random.default_rng(seed).normal(0, 0.002, (240, 320))
         frame = (scene.coded[..., 0] + noise).astype(np.float32)
         blur = DepthEstimator(bank).estimate(frame).blur_size_px

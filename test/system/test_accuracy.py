@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, bank_for
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.methods.depth import CameraBank
 
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
@@ -33,7 +34,7 @@ def test_the_psf_of_a_real_photograph_is_recognised(data_dir):
 def test_depth_and_deblurring_of_ray_traced_scenes(data_dir, scene):
     """The bank is learned from the mask and the camera alone."""
     seen = RayTracedScene.load(data_dir / "rendered" / scene, "levin")
-    bank = bank_for(seen.camera, seen.depth_m, LEVELS)
+    bank = CameraBank.of_scene(seen.camera, seen.depth_m, LEVELS).learn()
     noise = np.random.default_rng(0).normal(0, NOISE, seen.coded.shape)
     coded = seen.coded + noise.astype(np.float32)
     config = DepthConfig(confidence_threshold=0.0, regularize="semiglobal")

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import read_depth, read_image
-from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
 
@@ -23,10 +20,6 @@ _FULL_SCALE = np.float32(65535 / 65520)
 _DEPTH_UNIT_M = 1e-4
 # Where it is less than this, the depth is not reliable.
 _VALID = 1.0
-# Banks are learned for a little more than what there is to see.
-RANGE_MARGIN = 0.02
-# Of a shallow scene the nearest level is nearer: at such a share of the farthest depth.
-_NEAREST = 0.7, 0.5, 0.3, 0.15
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -104,31 +97,6 @@ class RayTracedScene:
         unknown depth are none.
         """
         return edge_distance_px(self.camera.blur_size_px(self.depth_m))
-
-
-def bank_for(
-    camera: Camera, depth_m: NDArray[np.float32], levels: int, config: LearnConfig | None = None
-) -> FilterBank:
-    """Learn a bank for a camera and a little more than the depths there are; NaN is unknown."""
-    nearest_m = float(np.nanmin(depth_m)) * (1 - RANGE_MARGIN)
-    farthest_m = float(np.nanmax(depth_m)) * (1 + RANGE_MARGIN)
-    return learn_bank_for_camera(camera, nearest_m, farthest_m, levels, config)
-
-
-def learned_bank(
-    camera: Camera, ends_m: tuple[float, float], levels: int
-) -> tuple[FilterBank, float]:
-    """Return a bank that depth is refined with, and the depth of its nearest level.
-
-    For the nearest and the farthest depth of a scene, and nearer ones too where it is shallow.
-    """
-    for share in _NEAREST:
-        range_m = np.array([min(ends_m[0], share * ends_m[1]), ends_m[1]], np.float32)
-        with suppress(InputError):
-            bank = bank_for(camera, range_m, levels)
-            if not unsupported_reason(bank, bank.stride_px):
-                return bank, float(range_m[0] * (1 - RANGE_MARGIN))
-    raise InputError("there is no bank for this scene that depth is refined with")
 
 
 def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -11,15 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, bank_for, scene_camera
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, scene_camera
 from coded_aperture_benchmarks.datasets.textures import training_textures
 from coded_aperture_benchmarks.methods import deblurring
+from coded_aperture_benchmarks.methods.depth import CameraBank, predict
 from coded_aperture_benchmarks.metrics.restoration import overshoot, picture_score
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, of_width, side_by_side
 from coded_aperture_benchmarks.rows import or_dash, tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB, decode
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import PsfStack
@@ -195,7 +196,7 @@ def _ringing(image: deblurring.Picture, seen: Seen) -> float:
 @lru_cache(maxsize=2)
 def _seen(view: View) -> Seen:
     (scene,) = RayTracedScene.load_views(view.folder, view.mask, 1)
-    bank = bank_for(scene.camera, scene.depth_m, view.levels)
+    bank = CameraBank.of_scene(scene.camera, scene.depth_m, view.levels)
     random = np.random.default_rng(view.seed)
     noise = np.float32(view.noise) * random.standard_normal(scene.coded.shape, dtype=np.float32)
     coded = scene.coded + noise
@@ -204,13 +205,12 @@ def _seen(view: View) -> Seen:
         (deblurring.ESTIMATED, DepthConfig()),
         (deblurring.CLASSICAL, DepthConfig(regularize="semiglobal")),
     ):
-        estimator = DepthEstimator(bank, config, scene.camera)
-        maps[name] = estimator.estimate(coded).blur_size_px
+        maps[name] = predict(coded, bank, config, scene.camera).blur_size_px
     away = scene.edge_distance_px() > _NEAR_EDGE_PX
     return Seen(
         scene=scene,
         coded=coded,
-        stack=bank.stack,
+        stack=bank.learn().stack,
         blur_size_px=maps,
         parts={"all": np.ones(away.shape, bool), "near": ~away, "away": away},
     )
@@ -381,7 +381,7 @@ a scene's folder has:
         options.added_noise(0.002),
         options.number("--levels", 2, 30, "blur levels of the bank"),
         *deblurring.METHOD_OPTIONS,
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

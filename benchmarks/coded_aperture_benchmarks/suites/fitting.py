@@ -11,21 +11,18 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.misfits import FITTING_LIGHT
-from coded_aperture_benchmarks.datasets.ray_traced import (
-    RayTracedScene,
-    bank_for,
-    scene_camera,
-    scene_meta,
-)
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, scene_camera, scene_meta
 from coded_aperture_benchmarks.datasets.video import load_video
+from coded_aperture_benchmarks.methods.depth import CameraBank, predictor
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
+from coded_aperture_benchmarks.metrics.relative import relative_error
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.io import read_image
-from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
+from coded_aperture_ros.likelihood.bank import LearnConfig
 
 _LEVELS, _WINDOW_PX, _NOISE, _TEMPORAL = 30, 48, 0.002, 5.0
 _PLANES, _META = "planes.json", "meta.json"
@@ -89,7 +86,7 @@ def _cells(args: options.Args) -> list[Cell]:
 
 
 @lru_cache(maxsize=1)
-def _frames(folder: Path, mask: str) -> tuple[FilterBank, tuple[_Frame, ...]]:
+def _frames(folder: Path, mask: str) -> tuple[CameraBank, tuple[_Frame, ...]]:
     """Return the bank, and the stills or the video of a folder."""
     config = LearnConfig(window_px=_WINDOW_PX)
     if (folder / _PLANES).is_file():
@@ -111,7 +108,7 @@ def _frames(folder: Path, mask: str) -> tuple[FilterBank, tuple[_Frame, ...]]:
         depth_m = np.where(scene.depth_m > 0, scene.depth_m, np.float32(np.nan))
         frames = [_Frame(scene.coded * share, depth_m, noise) for share, noise in FITTING_LIGHT]
     depths = np.stack([frame.depth_m for frame in frames])
-    return bank_for(camera, depths, _LEVELS, config), tuple(frames)
+    return CameraBank.of_scene(camera, depths, _LEVELS, config), tuple(frames)
 
 
 def measure(cell: Cell) -> list[Row]:
@@ -120,27 +117,21 @@ def measure(cell: Cell) -> list[Row]:
     temporal = _TEMPORAL if _is_video(cell.folder) else 0.0
     random = np.random.default_rng(cell.seed)
     common = DepthConfig(confidence_threshold=0.0, temporal_frames=temporal)
-    checked, trusting = (
-        DepthEstimator(bank, dataclasses.replace(common, check_fit=check))
-        for check in (True, False)
-    )
+    trusting = dataclasses.replace(common, check_fit=False)
     rows = []
-    for number, frame in enumerate(frames):
-        light = frame.light * np.float32(_LIGHT[cell.kind](number))
-        noise = frame.noise * _NOISE * random.standard_normal(light.shape, dtype=np.float32)
-        seen = np.clip(light + noise, 0, 1)
-        estimates = (each.estimate(seen) for each in (checked, trusting))
-        rows.append(_row(cell, number, frame, *estimates))
-    checked.close()
-    trusting.close()
+    with predictor(bank, common) as with_check, predictor(bank, trusting) as without:
+        for number, frame in enumerate(frames):
+            light = frame.light * np.float32(_LIGHT[cell.kind](number))
+            noise = frame.noise * _NOISE * random.standard_normal(light.shape, dtype=np.float32)
+            seen = np.clip(light + noise, 0, 1)
+            rows.append(_row(cell, number, frame, with_check(seen), without(seen)))
     return rows
 
 
 def _row(
     cell: Cell, number: int, frame: _Frame, estimate: DepthEstimate, trusting: DepthEstimate
 ) -> Row:
-    assert estimate.depth_m is not None  # there is a camera
-    known, error = np.isfinite(frame.depth_m), np.abs(estimate.depth_m / frame.depth_m - 1)
+    known, error = np.isfinite(frame.depth_m), relative_error(estimate, frame.depth_m)
     health = estimate.health
     return {
         "frames": f"{cell.folder.resolve().parent.name}/{cell.folder.resolve().name}",
@@ -234,7 +225,7 @@ SUITE = Suite(
         options.SCENE_MASKS,
         options.number("--repeats", 1, 1, "with other noise"),
         options.NOISE_SEED,
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

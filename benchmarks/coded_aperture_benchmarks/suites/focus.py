@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.methods.depth import CameraBank
+from coded_aperture_benchmarks.metrics.relative import published_shares, relative_error
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -15,19 +17,17 @@ from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import load_mask
 from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
-_LEVELS, _SIZE, _MARGIN = 30, (288, 384), 0.02
+_LEVELS = 30
+_SIZE = (288, 384)
 _FIRST_SCENE = 4_500_000
 _BLUR_PX = {"beyond": (2.0, 14.0), "within": (-8.0, 8.0), "both within": (-5.0, 9.0)}
 # Where the second focus is, in shares of the range of inverse depths from its far end.
 _SECOND = {"beyond": -0.15, "within": 1.2, "both within": 0.35}
 SETTINGS = tuple(_SECOND)
-_RIGHT = 0.1
-_PUBLISHED = DepthConfig().confidence_threshold
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,8 +75,7 @@ def measure(cell: Cell) -> Measured:
         return SensorModel(cell.noise / np.sqrt(exposures)).expose(seen.coded(), random)
 
     first, second, long = exposed(scene), exposed(scene.refocused(focus_m)), exposed(scene, 2)
-    ends_m = near_m * (1 - _MARGIN), far_m * (1 + _MARGIN)
-    bank = learn_bank_for_camera(camera, *ends_m, _LEVELS)
+    bank = CameraBank.of_scene(camera, true_m, _LEVELS).learn()
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
     pair = FocusPair(estimator, focus_m)
     found = {
@@ -102,13 +101,10 @@ def measure(cell: Cell) -> Measured:
 
 def _scores(estimate: DepthEstimate, true_m: FloatArray) -> Row:
     known = np.isfinite(true_m)
-    error = np.abs(np.asarray(estimate.depth_m)[known] / true_m[known] - 1)
-    sure = estimate.confidence[known] >= _PUBLISHED
+    error = relative_error(estimate, true_m)[known]
     return {
         "median_error": float(np.nanmedian(error)),
-        "right": float((error <= _RIGHT).mean()),
-        "published": float(sure.mean()),
-        "right_of_published": float((error[sure] <= _RIGHT).mean()) if sure.any() else None,
+        **published_shares(error, estimate.confidence[known]),
         "fits": estimate.health is None or estimate.health.fits,
     }
 

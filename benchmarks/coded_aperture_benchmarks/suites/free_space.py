@@ -8,15 +8,17 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
-from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, learned_bank
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.datasets.room import random_room, walk
+from coded_aperture_benchmarks.methods.depth import bank_with_refinement, predict
+from coded_aperture_benchmarks.metrics.relative import PUBLISHED
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
@@ -28,7 +30,6 @@ _MASKS, _NOISES = ("levin", "four_hole", "zhou"), (0.0005, 0.002, 0.005)
 _RISKS, _LARGEST_RISK = (0.01, 0.003, 0.001), 0.1
 _FIRST_ROOM, _FIRST_SCENE = 500, 2_500_000
 _FOCAL_LENGTH_PX, _ROOM_M, _ROOM_BLUR_PX = 600.0, (0.8, 7.0), (2.0, 16.0)
-_PUBLISHED = DepthConfig().confidence_threshold
 _NEARER = 0.9
 
 
@@ -106,16 +107,13 @@ def measure(cell: Cell) -> Measured:
     seen = _seen(cell)
     frame = SensorModel(cell.noise).expose(seen.coded, np.random.default_rng(cell.number))
     ends_m = float(np.nanmin(seen.depth_m)), float(np.nanmax(seen.depth_m))
-    bank, near_m = learned_bank(seen.camera, ends_m, _LEVELS)
+    bank = bank_with_refinement(seen.camera, ends_m, _LEVELS)
     rows, bounds_m = [], {}
     known = seen.depth_m > 0
     # In inverse depth, as blur goes by that: 0 for the nearest level, 1 for the truth.
-    nearest = 1 / near_m
+    nearest = 1 / bank.near_m
     for risk in cell.risks:
-        config = DepthConfig(free_space_risk=risk)
-        estimator = DepthEstimator(bank, config, seen.camera)
-        estimate = estimator.estimate(frame)
-        estimator.close()
+        estimate = predict(frame, bank, DepthConfig(free_space_risk=risk), seen.camera)
         bound = estimate.values("free_space")
         assert bound is not None and estimate.depth_m is not None
         bounds_m[risk], truth = bound, seen.depth_m[known]
@@ -132,7 +130,7 @@ def measure(cell: Cell) -> Measured:
                 "gain": float((nearest - 1 / np.minimum(there, truth)).sum() / range_of_all),
                 "of_truth": float(np.median(there / truth)),
                 # What stands nearer than nine tenths of the depth that is published.
-                "published": float((estimate.confidence >= _PUBLISHED).mean()),
+                "published": float((estimate.confidence >= PUBLISHED).mean()),
                 "nearer_than_published": float((truth < _NEARER * found).mean()),
                 "fits": estimate.health is None or estimate.health.fits,
             }
@@ -233,7 +231,7 @@ SUITE = Suite(
         ),
         options.masks(*_MASKS),
         options.option("--noise", "of ray-traced scenes", 0.002, type=noise_level, metavar="S"),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

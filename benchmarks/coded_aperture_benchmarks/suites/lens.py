@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.methods.depth import CameraBank, predict
+from coded_aperture_benchmarks.metrics.relative import PUBLISHED, relative_error
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
 from coded_aperture_ros.core.text import table
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.optics import Camera
 
 _MASK, _RIGHT = "levin", 0.05
@@ -76,19 +77,14 @@ def _of_planes(scene: Path, folder: Path, psfs: bool) -> list[Camera]:
 
 def _scores(scene: RayTracedScene, camera: Camera, frame: np.ndarray, levels: int) -> Row:
     true = scene.depth_m
-    near_m = float(np.nanmin(true)) * (1 - RANGE_MARGIN)
-    far_m = float(np.nanmax(true)) * (1 + RANGE_MARGIN)
-    bank = learn_bank_for_camera(camera, near_m, far_m, levels)
-    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
-    estimate = estimator.estimate(frame)
-    estimator.close()
-    assert estimate.depth_m is not None  # the camera tells it
-    error = np.abs(estimate.depth_m / true - 1)
+    bank = CameraBank.of_scene(camera, true, levels)
+    estimate = predict(frame, bank, DepthConfig(confidence_threshold=0.0), camera)
+    error = relative_error(estimate, true)
     known = np.isfinite(error)
     rows, columns = (np.arange(length) - (length - 1) / 2 for length in true.shape)
     radius = np.hypot(rows[:, None], columns) / np.hypot(rows[-1], columns[-1])
     third = np.minimum((3 * radius).astype(int), 2)
-    sure = known & (estimate.confidence >= DepthConfig().confidence_threshold)
+    sure = known & (estimate.confidence >= PUBLISHED)
     return {
         "all": _median(error[known]),
         **{name: _median(error[known & (third == i)]) for i, name in enumerate(_THIRDS)},
@@ -148,7 +144,7 @@ SUITE = Suite(
         options.number("--levels", 2, 30, "blur levels of the banks"),
         options.number("--repeats", 1, 1, "seeds of the noise"),
         options.number("--seed", 0, 0, "first seed"),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

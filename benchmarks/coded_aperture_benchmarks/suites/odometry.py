@@ -13,6 +13,7 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.video import check_rgbd_video
 from coded_aperture_benchmarks.datasets.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.figures import seen_from_above
+from coded_aperture_benchmarks.methods.depth import CameraBank
 from coded_aperture_benchmarks.metrics.trajectories import Tracker, tracked, write_tum
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
@@ -24,8 +25,6 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
-from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 from coded_aperture_ros.simulation import SensorModel
 
@@ -131,7 +130,7 @@ def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[FloatArray, ...]]:
     """Yield of every pose the sharp frame, true depth, coded and all-in-focus frame, and depths."""
     camera, random = walk.camera, np.random.default_rng(cell.room)
     sensor = SensorModel(cell.noise)
-    bank = learn_bank_for_camera(camera, *guarded_range(camera, *walk.range_m, 30))
+    bank = CameraBank.guarded(camera, walk.range_m, 30).learn()
     config = DepthConfig(temporal_frames=VIDEO_FRAMES, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, camera)
     deblurrer = Deblurrer(bank.stack, DeblurConfig(method="fast"))

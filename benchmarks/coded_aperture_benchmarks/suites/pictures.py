@@ -5,21 +5,21 @@ import itertools
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.methods.depth import CameraBank, predict
+from coded_aperture_benchmarks.metrics.relative import published_shares, relative_error
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.io import read_depth, read_image
-from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Mask, load_mask
 from coded_aperture_ros.simulation import motorcycle_scene, render_coded_frame
 from coded_aperture_ros.simulation.scene import fill_unknown
@@ -27,7 +27,6 @@ from coded_aperture_ros.simulation.scene import fill_unknown
 _LEVELS, _FOCAL_LENGTH_PX, _WHITE = 30, 800.0, np.float32(0.9)
 _BLUR_PX = (3.0, 14.0), (5.0, 20.0)
 _RECORDED = {"noise 0.002": 0.002, "noise 0.005": 0.005, "8 bits": 0.002}
-_CONFIDENT, _RIGHT, _EXACT = DepthConfig().confidence_threshold, 0.1, 0.05
 _ROOM, _KINECT = "video_livingroom1", "rgbd"
 _OF_ROOM = 0, 24, 47
 _RANDOM = "random"
@@ -103,9 +102,8 @@ def measure(cell: Cell) -> list[Row]:
     camera = camera_for_blur(
         _mask(cell.mask), _FOCAL_LENGTH_PX, size, (near_m, far_m), cell.blur_px, cell.side
     )
-    bank = learn_bank_for_camera(camera, 0.95 * near_m, 1.05 * far_m, _LEVELS)
+    bank = CameraBank(camera, 0.95 * near_m, 1.05 * far_m, _LEVELS)
     light = render_coded_frame(picture.light, picture.depth_m, camera, aperture_blocks=2)
-    estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0), camera)
     random = np.random.default_rng(0)
     found = []
     for recorded, noise in _RECORDED.items():
@@ -114,29 +112,26 @@ def measure(cell: Cell) -> list[Row]:
         if recorded == "8 bits":
             frame = decode(np.rint(255 * encode(frame, SRGB)) / 255, SRGB).astype(np.float32)
         kind = {"picture": picture.name, "mask": cell.mask, "side": cell.side}
-        scores = _score(estimator.estimate(frame), picture)
+        estimate = predict(frame, bank, DepthConfig(confidence_threshold=0.0), camera)
+        scores = _score(estimate, picture)
         found.append({**kind, "recorded": recorded, "blur_px": cell.blur_px, **scores})
-    estimator.close()
     return found
 
 
 def _score(estimate: DepthEstimate, picture: Picture) -> Row:
-    assert estimate.depth_m is not None  # there is a camera
-    error = np.abs(estimate.depth_m / picture.depth_m - 1)[picture.measured]
-    confidence = estimate.confidence[picture.measured]
-    sure = confidence >= _CONFIDENT
-
-    def of_sure(values: Any) -> float | None:
-        return mean_of(values[sure], 4) if sure.any() else None
-
-    return {
-        "right": mean_of(error <= _RIGHT, 4),
-        "coverage": mean_of(sure, 4),
-        "right_confident": of_sure(error <= _RIGHT),
-        "exact_confident": of_sure(error <= _EXACT),
-        "confidence": of_sure(confidence),
-        "fits": estimate.health is None or estimate.health.fits,
+    known = picture.measured
+    shares = published_shares(
+        relative_error(estimate, picture.depth_m)[known], estimate.confidence[known]
+    )
+    names = {
+        "right": "right",
+        "coverage": "published",
+        "right_confident": "right_of_published",
+        "exact_confident": "exact_of_published",
+        "confidence": "said",
     }
+    rounded = {key: shares[name] and round(shares[name], 4) for key, name in names.items()}
+    return {**rounded, "fits": estimate.health is None or estimate.health.fits}
 
 
 def _results(args: options.Args, measured: list[list[Row]], seconds: float) -> Row:
@@ -194,7 +189,7 @@ SUITE = Suite(
             "data", f"folder that holds {_ROOM}/ and {_KINECT}/", type=Path, metavar="FOLDER"
         ),
         options.masks("levin", "four_hole", "zhou", "mura", _RANDOM),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -2,8 +2,6 @@
 
 import dataclasses
 import itertools
-import math
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,30 +11,23 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.random_scenes import FIRST_SEED, RandomScene
-from coded_aperture_benchmarks.datasets.ray_traced import (
-    RayTracedScene,
-    Rods,
-    bank_for,
-    scene_camera,
-)
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, Rods, scene_camera
+from coded_aperture_benchmarks.methods.depth import Bank, CameraBank, predictor
 from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.metrics.dense import (
-    DELTAS,
     NEAR_EDGE_PX,
     RIGHT_WITHIN,
     SHARE_WITHIN,
-    TOLERANCES,
-    WIDTHS,
     score,
     score_rods,
 )
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.suites.scenes_tables import NAMES, order, text_of
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
@@ -48,7 +39,6 @@ _PLANES = "calib"
 _VIDEO_FRAMES = 4
 # Of the random scenes of a kind, so many have rows of their own in the tables.
 _WORST = 10
-_NAMES = ("scene", "mask", "learned_from", "regularize")
 
 
 class Scene(Protocol):
@@ -93,6 +83,19 @@ class Cell:
     levels: int
     window_px: int | None
     seed: int
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanesBank:
+    """A bank for pictures of planes in a folder."""
+
+    folder: Path
+    levels: int
+    config: LearnConfig
+
+    def learn(self) -> FilterBank:
+        """Return the bank."""
+        return learn_bank_from_planes(load_folder(self.folder), self.levels, self.config)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -204,19 +207,16 @@ def measure(cell: Cell) -> Measured:
 def _estimated(cell: Cell) -> Maps:
     views = cell.scene.views(cell.mask)
     truth = np.stack([view.depth_m for view in views])
-    estimator = DepthEstimator(
-        _bank(cell, views[0], truth),
-        dataclasses.replace(cell.config, confidence_threshold=0.0),
-        # A bank that was learned from planes knows their depths, and not this camera.
-        None if cell.planes else views[0].camera,
-    )
+    bank = _bank(cell, views[0], truth)
+    config = dataclasses.replace(cell.config, confidence_threshold=0.0)
+    # A bank that was learned from planes knows their depths, and not this camera.
+    camera = None if cell.planes else views[0].camera
     random = np.random.default_rng(cell.seed)
-    estimates, seconds = [], []
-    for view in views:
-        noise = cell.noise * random.standard_normal(view.coded.shape, dtype=np.float32)
-        start = time.perf_counter()
-        estimates.append(estimator.estimate((view.coded + noise).astype(np.float32)))
-        seconds.append(time.perf_counter() - start)
+    estimates = []
+    with predictor(bank, config, camera) as predict:
+        for view in views:
+            noise = cell.noise * random.standard_normal(view.coded.shape, dtype=np.float32)
+            estimates.append(predict((view.coded + noise).astype(np.float32)))
     threshold = cell.config.confidence_threshold
     # With a camera or planes there are depths.
     return Maps(
@@ -229,7 +229,7 @@ def _estimated(cell: Cell) -> Maps:
         [view.camera for view in views],
         [view.rods for view in views if view.rods is not None],
         [each.noise for each in estimates],
-        seconds,
+        [sum(each.seconds.values()) for each in estimates],
     )
 
 
@@ -274,18 +274,18 @@ def _pooled(measured: list[Measured]) -> list[Row]:
     for (kind, *_), pool in _pools(measured).items():
         maps = Maps.together([each.maps for each in pool if each.maps is not None])
         rows.append(_row(pool[0].cell, f"{len(pool)} {kind}", maps))
-        ranked = sorted(pool, key=lambda each: _order(_dense(each.row)["within_10_percent"]))
+        ranked = sorted(pool, key=lambda each: order(each.row["dense"]["within_10_percent"]))
         rows += [each.row for each in ranked[:_WORST]]
     return rows
 
 
-def _bank(cell: Cell, view: RayTracedScene, depth_m: NDArray[np.float32]) -> FilterBank:
+def _bank(cell: Cell, view: RayTracedScene, depth_m: NDArray[np.float32]) -> Bank:
     config = LearnConfig()
     if cell.window_px is not None:
         config = dataclasses.replace(config, window_px=cell.window_px)
     if cell.planes is not None:
-        return learn_bank_from_planes(load_folder(cell.planes), cell.levels, config)
-    return bank_for(view.camera, depth_m, cell.levels, config)
+        return PlanesBank(cell.planes, cell.levels, config)
+    return CameraBank.of_scene(view.camera, depth_m, cell.levels, config)
 
 
 def _score(
@@ -319,146 +319,9 @@ def _results(args: options.Args, measured: list[Measured], seconds: float) -> Ro
     }
 
 
-def _text(results: Row) -> str:
-    rows = results["shown"]
-    names = {name: f"{{{name}}}" for name in _NAMES}
-    parts = [
-        "median relative error of depth / share of pixels within 10 % / coverage, in per cent; "
-        f"edges: within {NEAR_EDGE_PX} px"
-    ]
-    for key, title in (
-        ("confident", f"confidence at least {rows[0]['confidence_threshold']:g}"),
-        ("everywhere", "every pixel"),
-    ):
-        described = {
-            **names,
-            "all": lambda row, key=key: _score_text(row[key]["all"]),
-            "near edges": lambda row, key=key: _score_text(row[key]["near_edges"]),
-            "away": lambda row, key=key: _score_text(row[key]["away"]),
-            "time": "{seconds:.1f} s",
-        }
-        parts.append(f"{title}\n{columns(rows, described)}")
-    reliability = {
-        **names,
-        "calibration error": "{expected_calibration_error:.3f}",
-        "confidence: share right": lambda row: " ".join(
-            f"{bin_['confidence']:.2f}:{bin_['share_right']:.2f}" for bin_ in row["reliability"]
-        ),
-    }
-    title = f"confidence against share of pixels right to {100 * RIGHT_WITHIN:g} %"
-    parts.append(f"{title}\n{columns(rows, reliability)}")
-    return "\n\n".join([*parts, *_dense_text(rows, names), _summary(rows, names)])
-
-
-def _dense_text(rows: list[Row], names: dict[str, str]) -> list[str]:
-    errors = {
-        **names,
-        **{
-            f"{title} {part}": lambda row, key=key, form=form, of=of: _number(of(row)[key], form)
-            for part, of in (("all", _dense), ("published", _published))
-            for title, key, form in (
-                ("AbsRel", "abs_rel", "{:.3f}"),
-                *((name.replace("delta_", "d<"), name, "{:.3f}") for name in DELTAS),
-            )
-        },
-        "AUSE": lambda row: _number(_dense(row)["sparsification"]["ause"], "{:.4f}"),
-    }
-    edges = {
-        **names,
-        **{
-            f"F {px} px": lambda row, px=px: _per_cent(_dense(row)["boundary"][px]["f_score"])
-            for px in TOLERANCES
-        },
-        **{
-            f"{what} {width}": lambda row, what=what, width=width: _found(_dense(row)[what][width])
-            for what in ("thin", "gaps")
-            for width in WIDTHS
-        },
-    }
-    with_rods = [row for row in rows if "rods" in row]
-    if with_rods:
-        rods = {
-            **names,
-            **{f"rods {w}": lambda row, w=w: _found(row["rods"][w]) for w in WIDTHS},
-            **{
-                f"right {w}": lambda row, w=w: _per_cent(row["rods"][w]["pixels_right"])
-                for w in WIDTHS
-            },
-        }
-        heading = "rods by width in px: found / rods; per cent of their pixels that are right"
-        known_rods = [f"{heading}\n{columns(with_rods, rods)}"]
-    else:
-        known_rods = []
-    return [
-        "mean relative error (of pixels with depth), share of pixels off by less than a factor "
-        "(no depth is wrong), area between sparsification curve and oracle's (relative error)\n"
-        f"{columns(rows, errors)}",
-        "F-score of depth edges in per cent, by tolerance; thin structures and gaps by width in "
-        f"px: found / pieces\n{columns(rows, edges)}",
-        *known_rods,
-    ]
-
-
-def _summary(rows: list[Row], names: dict[str, str]) -> str:
-    described = {
-        **names,
-        "every pixel": lambda row: _per_cent(_dense(row)["within_10_percent"]),
-        "published": lambda row: _per_cent(_published(row)["within_10_percent"]),
-        "near edges": lambda row: _per_cent(_dense(row)["within_10_percent_near_edges"]),
-        "away": lambda row: _per_cent(_dense(row)["within_10_percent_away"]),
-        "median away": lambda row: _per_cent(_dense(row)["median_error_away"], 1),
-        "confident": lambda row: _per_cent(_dense(row)["confident"]["within_10_percent"]),
-        "coverage": lambda row: _per_cent(_dense(row)["confident"]["coverage"]),
-        "calibration error": "{expected_calibration_error:.3f}",
-        "within one std dev": lambda row: _per_cent(_dense(row)["std_dev"]["within_one"]),
-    }
-    worst_first = sorted(rows, key=lambda row: _order(_dense(row)["within_10_percent"]))
-    return (
-        f"in short, worst first: per cent of all pixels within {100 * SHARE_WITHIN:g} % (no depth "
-        "is wrong), median error; confident pixels within "
-        f"{100 * SHARE_WITHIN:g} %, their coverage; published pixels within the stated standard "
-        f"deviation\n{columns(worst_first, described)}"
-    )
-
-
-def _dense(row: Row) -> Row:
-    dense: Row = row["dense"]
-    return dense
-
-
-def _published(row: Row) -> Row:
-    published: Row = row["dense"]["published"]
-    return published
-
-
-def _order(share: float) -> float:
-    """Return what puts a scene with nothing to score first."""
-    return share if math.isfinite(share) else -1.0
-
-
-def _per_cent(share: float, digits: int = 0) -> str:
-    return f"{100 * share:.{digits}f}" if math.isfinite(share) else "-"
-
-
-def _number(value: float, form: str) -> str:
-    return form.format(value) if math.isfinite(value) else "-"
-
-
-def _found(pieces: Row) -> str:
-    return f"{pieces['found']}/{pieces['pieces']}"
-
-
-def _score_text(score: Row) -> str:
-    coverage = f"{100 * score['coverage']:.0f}"
-    if score["median_error"] is None:
-        return f"- / - / {coverage}"
-    error, share = (100 * score[name] for name in ("median_error", "within_10_percent"))
-    return f"{error:.1f} / {share:.0f} / {coverage}"
-
-
 def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
     curves = {
-        ", ".join(each.row[name] for name in _NAMES): each.reliability
+        ", ".join(each.row[name] for name in NAMES): each.reliability
         for each in measured
         if each.maps is None
     }
@@ -502,11 +365,11 @@ learned from these is measured too
         options.REGULARIZE,
         options.WINDOW_AS_LEARN,
         options.NOISE_SEED,
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,
     results=_results,
-    text=_text,
+    text=text_of,
     draw=_draw,
 )

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, learned_bank
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.methods.depth import CameraBank, bank_with_refinement, predict
 from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shares, surfaces
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
@@ -18,9 +19,8 @@ from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Camera, load_mask
 from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.simulation.layered import FENCES, fenced_scene, random_scene
@@ -83,12 +83,12 @@ def _noise(of_mask: int) -> float:
     return _NOISES[(of_mask + of_mask // 6) % 3]
 
 
-def _seen_and_bank(cell: Cell) -> tuple[Seen, FilterBank]:
+def _seen_and_bank(cell: Cell) -> tuple[Seen, CameraBank]:
     """Return what a frame shows, and a bank; another scene where the first is too shallow."""
     for attempt in range(_ATTEMPTS):
         seen = _seen(cell, _FIRST_SCENE + cell.number + attempt * _APART)
         with suppress(InputError):
-            return seen, learned_bank(seen.camera, seen.ends_m, _LEVELS)[0]
+            return seen, bank_with_refinement(seen.camera, seen.ends_m, _LEVELS)
     raise InputError(f"{cell.kind}: no scene that depth is refined of")
 
 
@@ -125,9 +125,7 @@ def measure(cell: Cell) -> Measured:
     seen, bank = _seen_and_bank(cell)
     frame = SensorModel(cell.noise).expose(seen.coded, np.random.default_rng(cell.number))
     config = DepthConfig(second_surface=True, confidence_threshold=0.0)
-    estimator = DepthEstimator(bank, config, seen.camera)
-    estimate = estimator.estimate(frame)
-    estimator.close()
+    estimate = predict(frame, bank, config, seen.camera)
     assert estimate.depth_m is not None
     second_m = estimate.values("second")
     second_share = estimate.values("second_share")
@@ -266,7 +264,7 @@ SUITE = Suite(
         options.number("--frames", 1, 108, "random frames of each kind"),
         options.masks(*_MASKS),
         options.option("--noise", "of ray-traced scenes", 0.002, type=noise_level, metavar="S"),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks import figures, options
-from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, load_sharp
+from coded_aperture_benchmarks.datasets.ray_traced import load_sharp
 from coded_aperture_benchmarks.datasets.sides import (
     REACH_PX,
     SideEstimators,
@@ -21,6 +21,7 @@ from coded_aperture_benchmarks.datasets.sides import (
     plane_camera,
 )
 from coded_aperture_benchmarks.datasets.textures import load_textures
+from coded_aperture_benchmarks.methods.depth import RANGE_MARGIN
 from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite

@@ -26,6 +26,7 @@ from coded_aperture_benchmarks.datasets.tag_cards import (
     pitch_px,
 )
 from coded_aperture_benchmarks.figures import shares_over_distance
+from coded_aperture_benchmarks.methods.depth import CameraBank, StackBank, predict
 from coded_aperture_benchmarks.metrics.codes import CodeReader, code_of, distance_error
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, or_dash
@@ -34,16 +35,10 @@ from coded_aperture_ros.core.arguments import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.likelihood.bank import (
-    FilterBank,
-    LearnConfig,
-    learn_bank,
-    learn_bank_for_camera,
-)
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import SensorModel
 
@@ -217,17 +212,14 @@ def _exposed(cell: Cell, lights: dict[str, FloatArray]) -> Iterator[tuple[str, F
 def _found(lens: Lens, coded: FloatArray) -> FloatArray:
     """Return the blur size that is estimated of every pixel."""
     camera = lens.coded() if lens.focus == BEFORE else None
-    estimator = DepthEstimator(_bank(lens), DepthConfig(), camera)
-    found_px = np.asarray(estimator.estimate(coded).blur_size_px)
-    estimator.close()
-    return found_px
+    return np.asarray(predict(coded, _bank(lens), DepthConfig(), camera).blur_size_px)
 
 
 def _deblurred(
     lens: Lens, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     for method in _METHODS:
-        deblurrer = Deblurrer(_bank(lens).stack, DeblurConfig(method=method))
+        deblurrer = Deblurrer(_bank(lens).learn().stack, DeblurConfig(method=method))
         yield method, deblurrer.deblur(coded, found_px)
         if method == "sparse":
             yield TRUE, deblurrer.deblur(coded, true_px)
@@ -247,13 +239,13 @@ def _blur_on(card: Card, errors_px: FloatArray) -> Row:
 
 
 @lru_cache(maxsize=1)
-def _bank(lens: Lens) -> FilterBank:
+def _bank(lens: Lens) -> CameraBank | StackBank:
     camera = lens.coded()
     if lens.focus == BEFORE:
-        return learn_bank_for_camera(camera, *guarded_range(camera, CARDS_M[0], WALL_M[1], _LEVELS))
+        return CameraBank.guarded(camera, (CARDS_M[0], WALL_M[1]), _LEVELS)
     largest_px = np.abs(camera.blur_size_px([CARDS_M[0], WALL_M[1]])).max()
     sizes_px = np.linspace(_LEAST_PX, _GUARD * largest_px, _LEVELS)
-    return learn_bank(render_psf_stack(camera.mask, sizes_px), LearnConfig(_WINDOW_PX))
+    return StackBank(render_psf_stack(camera.mask, sizes_px), LearnConfig(_WINDOW_PX))
 
 
 def part_edges_m() -> list[float]:
@@ -536,7 +528,7 @@ SUITE = Suite(
             "read frames encoded as pictures are, not as linear light",
             action="store_true",
         ),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

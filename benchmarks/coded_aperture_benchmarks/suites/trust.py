@@ -17,7 +17,8 @@ from coded_aperture_benchmarks.datasets.misfits import (
     Recorded,
     recorded,
 )
-from coded_aperture_benchmarks.datasets.ray_traced import RANGE_MARGIN, RayTracedScene
+from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
+from coded_aperture_benchmarks.methods.depth import RANGE_MARGIN, StackBank, predict
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -25,8 +26,8 @@ from coded_aperture_benchmarks.suites.deblur_photograph import photograph
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
-from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate
+from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf
@@ -102,8 +103,7 @@ def _of_photograph(folder: Path) -> Fitting:
     page = photograph(folder)
     psfs = [_scaled(page.psf, size / _PHOTO_PX) for size in _PHOTO_SIZES_PX]
     stack = PsfStack(_PHOTO_SIZES_PX, np.stack(psfs))
-    config = DepthConfig(check_fit=False)
-    found = DepthEstimator(_bank(stack), config).estimate(page.image).blur_size_px
+    found = predict(page.image, _bank(stack), DepthConfig(check_fit=False)).blur_size_px
     truth = np.full(page.image.shape, np.nanmedian(found), np.float32)
     sparse = Deblurrer(stack, DeblurConfig(method="sparse"))
     sharp = sparse.deblur(page.image, truth, _PHOTO_NOISE)
@@ -128,7 +128,6 @@ def measure(cell: Cell) -> Measured:
     """Measure one kind of misfit in all its strengths."""
     fitting = _fitting(cell.folder, cell.mask)
     rows, reliability = [], []
-    bank, stack = None, None
     for number, strength in enumerate(_STRENGTHS):
         random = np.random.default_rng([cell.seed, number])
         if cell.kind == _FITS:
@@ -139,12 +138,8 @@ def measure(cell: Cell) -> Measured:
             one = _change_of(cell.kind)(fitting, strength, random)
         if one is None:
             continue
-        if bank is None or stack is not one.stack:
-            bank, stack = _bank(one.stack), one.stack
         config = DepthConfig(confidence_threshold=0.0, noise=one.known_noise)
-        estimator = DepthEstimator(bank, config)
-        estimate = estimator.estimate(one.frame)
-        estimator.close()
+        estimate = predict(one.frame, _bank(one.stack), config)
         error = _error(estimate, one)
         known = np.isfinite(error)
         right = error[known] <= _RIGHT
@@ -185,8 +180,9 @@ def _row(cell: Cell, strength: float, estimate: DepthEstimate, error: FloatArray
     }
 
 
-def _bank(stack: PsfStack) -> FilterBank:
-    return learn_bank(stack, LearnConfig(window_px=_WINDOW_PX))
+@lru_cache(maxsize=1)
+def _bank(stack: PsfStack) -> StackBank:
+    return StackBank(stack, LearnConfig(window_px=_WINDOW_PX))
 
 
 def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
@@ -267,7 +263,7 @@ SUITE = Suite(
         ),
         options.option("--kinds", "of misfit (default: all)", [None], said="", metavar="KIND"),
         options.NOISE_SEED,
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

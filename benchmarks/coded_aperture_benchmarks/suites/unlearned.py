@@ -11,14 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.methods.depth import StackBank, predictor
 from coded_aperture_benchmarks.metrics.published import published
 from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import columns
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB, decode, encode
-from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
+from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.optics import Mask, load_mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
@@ -31,6 +32,8 @@ _NOISE = 0.002
 _BEYOND = 1.3
 _NEAREST_PX = 3.0
 FITS = "fits"
+_CHECKED = DepthConfig(confidence_threshold=0.0)
+_UNCHECKED = dataclasses.replace(_CHECKED, check_fit=False)
 Frame = tuple[FloatArray, FloatArray]  # with its true blur sizes
 
 
@@ -48,34 +51,39 @@ def _cells(args: argparse.Namespace) -> list[Cell]:
     return [Cell(mask, seed) for mask, seed in itertools.product(args.masks, seeds)]
 
 
-@lru_cache(maxsize=1)
-def _bank(mask: str) -> FilterBank:
-    return learn_bank(
-        render_psf_stack(load_mask(mask), _SIZES_PX), LearnConfig(window_px=_WINDOW_PX)
-    )
-
-
 def measure(cell: Cell) -> list[Row]:
     """Return for every kind of change whether wrong depth is published, with and without check."""
     scene = random_scene(cell.seed, load_mask(cell.mask), shape=_SHAPE)
-    checked, trusting = (
-        DepthEstimator(_bank(cell.mask), DepthConfig(confidence_threshold=0.0, check_fit=check))
-        for check in (True, False)
-    )
     rows = []
-    for kind, (frame, truth) in _frames(scene, np.random.default_rng(cell.seed)):
-        frame = np.ascontiguousarray(frame, np.float32)
-        row: Row = {"mask": cell.mask, "seed": cell.seed, "kind": kind}
-        for name, estimator in (("checked", checked), ("unchecked", trusting)):
-            estimate = estimator.estimate(frame)
-            error = _error(estimate.blur_size_px, truth)
-            row[name] = published(error, estimate.confidence, np.isfinite(error))["wrong"]
-            if name == "checked":
-                row["alarm"] = estimate.health is not None and not estimate.health.fits
-        rows.append(row)
-    checked.close()
-    trusting.close()
+    with (
+        predictor(_bank(cell.mask), _CHECKED) as checked,
+        predictor(_bank(cell.mask), _UNCHECKED) as unchecked,
+    ):
+        for kind, (frame, truth) in _frames(scene, np.random.default_rng(cell.seed)):
+            found = [each(np.ascontiguousarray(frame, np.float32)) for each in (checked, unchecked)]
+            errors = [_error(each.blur_size_px, truth) for each in found]
+            wrong = [
+                published(error, each.confidence, np.isfinite(error))["wrong"]
+                for error, each in zip(errors, found, strict=True)
+            ]
+            health = found[0].health
+            rows.append(
+                {
+                    "mask": cell.mask,
+                    "seed": cell.seed,
+                    "kind": kind,
+                    "checked": wrong[0],
+                    "unchecked": wrong[1],
+                    "alarm": health is not None and not health.fits,
+                }
+            )
     return rows
+
+
+@lru_cache(maxsize=1)
+def _bank(mask: str) -> StackBank:
+    stack = render_psf_stack(load_mask(mask), _SIZES_PX)
+    return StackBank(stack, LearnConfig(window_px=_WINDOW_PX))
 
 
 def _apertures() -> dict[str, Mask]:
@@ -230,7 +238,7 @@ SUITE = Suite(
     options=(
         options.masks("levin"),
         options.number("--scenes", 1, 10, "behind each mask"),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.ray_traced import bank_for
 from coded_aperture_benchmarks.datasets.video import (
     WARM_UP_FRAMES,
     CodedVideo,
@@ -21,6 +20,7 @@ from coded_aperture_benchmarks.datasets.video import (
     load_video,
     score_video,
 )
+from coded_aperture_benchmarks.methods.depth import CameraBank
 from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.pictures import WHITE, as_rgb, titled
 from coded_aperture_benchmarks.rows import or_dash, place, unique
@@ -190,7 +190,7 @@ def _video(folder: Path, frames: int) -> CodedVideo:
 def _bank(source: Source) -> FilterBank:
     video = _video(source.folder, source.frames)
     config = LearnConfig() if source.window_px is None else LearnConfig(window_px=source.window_px)
-    return bank_for(video.camera, video.depth_m, source.levels, config)
+    return CameraBank.of_scene(video.camera, video.depth_m, source.levels, config).learn()
 
 
 def _rounded(score: Any) -> Row | None:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.methods.depth import CameraBank, predict
 from coded_aperture_benchmarks.pictures import as_rgb, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
@@ -20,11 +21,9 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, opening_centres, view_through
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
-from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
 from coded_aperture_ros.metrics import psnr_db
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
@@ -191,12 +190,10 @@ def _seen_by_us(cell: Cell, scene: LayeredScene) -> tuple[dict[str, FloatArray],
     random = np.random.default_rng(cell.scene)
     coded = SensorModel(cell.noise, _BITS).expose(scene.coded(), random)
     bank = _bank(scene)
-    estimator = DepthEstimator(bank, DepthConfig(), scene.camera)
-    found_px = np.asarray(estimator.estimate(coded).blur_size_px)
-    estimator.close()
+    found_px = np.asarray(predict(coded, bank, DepthConfig(), scene.camera).blur_size_px)
     frames = {}
     for method in _METHODS:
-        deblurrer = Deblurrer(bank.stack, DeblurConfig(method=method))
+        deblurrer = Deblurrer(bank.learn().stack, DeblurConfig(method=method))
         frames[method] = np.clip(deblurrer.deblur(coded, found_px), 0, 1)
         if method == "sparse":
             frames[TOLD] = np.clip(deblurrer.deblur(coded, scene.blur_size_px()), 0, 1)
@@ -204,10 +201,10 @@ def _seen_by_us(cell: Cell, scene: LayeredScene) -> tuple[dict[str, FloatArray],
     return frames, found_px
 
 
-def _bank(scene: LayeredScene) -> FilterBank:
+def _bank(scene: LayeredScene) -> CameraBank:
     depth_m = scene.depth_m()
     ends = float(depth_m.min()), float(depth_m.max())
-    return learn_bank_for_camera(scene.camera, *guarded_range(scene.camera, *ends, _LEVELS))
+    return CameraBank.guarded(scene.camera, ends, _LEVELS)
 
 
 def _opposite(places: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
@@ -332,7 +329,7 @@ SUITE = Suite(
         options.frame_size(288, 288),
         options.added_noise(0.002),
         options.option("--mask", "of the camera", "levin", metavar="MASK"),
-        *options.RESULTS,
+        *options.DEPTH_RESULTS,
     ),
     cells=_cells,
     measure=measure,
