@@ -62,7 +62,6 @@ MOTION = Group(
         "scenes": Entry(
             "an object that moves in front of a scene that does not", "suites.motion_scenes"
         ),
-        "speed": Entry("time of a frame with and without motion", "suites.motion_speed"),
     },
 )
 # What `coded_aperture bench` offers.
@@ -74,7 +73,6 @@ OF_THE_PROGRAM: dict[str, Group | Entry] = {
 # What `python -m coded_aperture_benchmarks` offers.
 BENCHMARKS: dict[str, Group | Entry] = {
     **OF_THE_PROGRAM,
-    "simple-speed": Entry("of depth behind masks of a few equal holes", "suites.simple_speed"),
     "motion": MOTION,
     "masks": Entry("predicted against measured errors of random masks", "suites.masks"),
     "subspaces": Entry(

@@ -1,11 +1,8 @@
-"""The method for simple masks in depth_node, over real DDS, and its benchmark of speed."""
-
-import json
+"""The method for simple masks in depth_node, over real DDS."""
 
 import numpy as np
 import pytest
 import yaml
-from cli_scene import call_benchmarks
 from sensor_msgs.msg import Image
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 from std_msgs.msg import Header
@@ -62,18 +59,3 @@ def test_what_cannot_be_is_one_clear_line(ros, tmp_path, mask, changes, said):
         ros.make(DepthNode, parameters(tmp_path, mask, **changes))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.slow
-def test_benchmark_of_speed(capsys):
-    arguments = ("simple-speed", "--size", "160x128", "--frames", 1, "--threads", 1)
-    result = call_benchmarks(capsys, *arguments, "--levels", 6, "--json")
-    assert result.status == 0, result.err
-    found = json.loads(result.out)
-    assert [row["regularize"] for row in found["regularize"]] == ["none", "semiglobal", "graphcut"]
-    lines = {row["holes"]: row["lines"] for row in found["holes"]}
-    assert lines == {2: 1, 3: 3, 4: 6, 5: 10}  # N (N - 1) / 2
-    products = {row["window_px"]: row["products"] for row in found["window"]}
-    assert len(set(products.values())) == 1
-    assert len(products) > 2
-    assert "levin" in call_benchmarks(capsys, *arguments, "--mask", "levin").err

@@ -69,6 +69,19 @@ def test_other_masks_are_refused_with_the_reason(mask, said):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(("count", "lines"), [(2, 1), (3, 3), (4, 6), (5, 10)])
+def test_work_grows_with_the_pairs_of_holes_and_not_with_the_window(count, lines):
+    cells = np.zeros((24, 24), np.float32)
+    # In general position, so that no two pairs of them are parallel.
+    for row, column in ((0, 3), (5, 19), (19, 7), (14, 0), (2, 12))[:count]:
+        cells[row : row + 4, column : column + 4] = 1
+    mask = Mask("scattered", cells)
+    stack = blur_stack(mask, 4)
+    models = [neighbour_model(stack, mask, SimpleConfig(window_px=px)) for px in (48, 96)]
+    assert [len(model.lines) for model in models] == [lines, lines]
+    assert len({model.derivatives * len(model.lags) for model in models}) == 1
+
+
 def test_parallel_pairs_share_a_line_and_others_do_not():
     lines = {
         name: neighbour_lines(find_holes(Mask.named(name)), 30.0)
