@@ -10,7 +10,6 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -19,6 +18,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coded_aperture_benchmarks.speed.node_figures import (
+    COUNTERS,
+    node_figures,
+    process_figures,
+    rounded_or_none,
+    run_figures,
+    stolen_s,
+    stream_figures,
+)
+from coded_aperture_benchmarks.speed.node_processes import (
+    Process,
+    listener,
+    ros_node,
+    wait_for_depth,
+)
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
@@ -37,134 +51,10 @@ NEAR_M = 2.05
 FAR_M = 5.1
 FRAMES = 8
 NOISE = 0.002
-TOPIC = "depth/image"
-COUNTERS = ("received", "processed", "dropped", "rejected")
 
-_START_TIMEOUT_S = 60.0
-_FRAMES_TO_START = 3
 # What was sent last has come by then, or never will.
 _LAST_RESULTS_S = 1.0
-_SPIN_S = 0.1
-_LAST_LINES = 15
 _INTERRUPTED = 130
-
-
-# --- What is measured -------------------------------------------------------------------------
-
-
-def latency_figures(stamps_ns: NDArray[np.int64], arrivals_ns: NDArray[np.int64]) -> dict[str, Any]:
-    """Return the latencies of frames in ms, and whether they have grown; None of no frames.
-
-    Parameters
-    ----------
-    stamps_ns, arrivals_ns : arrays of the same length
-        When each frame was published and when its depth came, in the order of arrival.
-    """
-    latency_ms = (arrivals_ns - stamps_ns) * 1e-6
-    quarter = -(-len(latency_ms) // 4)
-    return {
-        "median": _rounded(np.median, latency_ms),
-        "p99": _rounded(lambda values: np.percentile(values, 99), latency_ms),
-        "max": _rounded(np.max, latency_ms),
-        "median_first_quarter": _rounded(np.median, latency_ms[:quarter]),
-        "median_last_quarter": _rounded(np.median, latency_ms[-quarter:]),
-    }
-
-
-def stream_figures(
-    sent_ns: Sequence[int], received: dict[int, int], begun_ns: int, ended_ns: int
-) -> dict[str, Any]:
-    """Return what became of the frames that were sent in a span of time.
-
-    Parameters
-    ----------
-    sent_ns : sequence of int
-        Stamps of all frames that were sent.
-    received : dict
-        When the depth of a frame came, by its stamp.
-    begun_ns, ended_ns : int
-        Only frames with stamps from here to there count.
-    """
-    counted = [stamp for stamp in sent_ns if begun_ns <= stamp < ended_ns]
-    come = np.array([stamp for stamp in counted if stamp in received], np.int64)
-    arrivals = np.array([received[int(stamp)] for stamp in come], np.int64)
-    seconds = (ended_ns - begun_ns) * 1e-9
-    return {
-        "sent": len(counted),
-        "received": len(come),
-        "received_hz": round(len(come) / seconds, 2),
-        "never_came": len(counted) - len(come),
-        "never_came_in_a_row": _longest_row(stamp not in received for stamp in counted),
-        "longest_gap_ms": _rounded(np.max, np.diff(arrivals) * 1e-6),
-        "latency_ms": latency_figures(come, arrivals),
-        "never_came_at_s": [
-            round((stamp - begun_ns) * 1e-9, 3) for stamp in counted if stamp not in received
-        ],
-    }
-
-
-def node_figures(
-    statuses: Sequence[tuple[int, dict[str, str]]],
-    sent_ns: Sequence[int],
-    begun_ns: int,
-    ended_ns: int,
-) -> dict[str, Any]:
-    """Return what the node counted, and the last values that it reported.
-
-    Parameters
-    ----------
-    statuses : sequence of (time, values)
-        All that the node has reported; the time in nanoseconds.
-    sent_ns : sequence of int
-        Stamps of all frames that were sent.
-    begun_ns, ended_ns : int
-        Only reports from here to there count.
-    """
-    counted = [status for status in statuses if begun_ns <= status[0] < ended_ns]
-    if not counted:
-        return {"seconds": 0.0, "sent": 0, **dict.fromkeys(COUNTERS, 0), "reported": {}}
-    (first_ns, first), (last_ns, last) = counted[0], counted[-1]
-    return {
-        "seconds": round((last_ns - first_ns) * 1e-9, 2),
-        "sent": sum(first_ns <= stamp < last_ns for stamp in sent_ns),
-        **{name: int(last.get(name, 0)) - int(first.get(name, 0)) for name in COUNTERS},
-        "reported": last,
-    }
-
-
-def process_figures(pid: int) -> dict[str, float]:
-    """Return the memory of a process in MB and its processor time so far in seconds.
-
-    Anonymous memory is what can leak; the rest are files and memory shared with other processes.
-    """
-    status = dict(
-        line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
-    )
-    # Fields 14 and 15; the second one is the name, in brackets, and may hold spaces.
-    times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
-    return {
-        "rss_mb": int(status["VmRSS"].split()[0]) / 1024,
-        "anonymous_mb": int(status["RssAnon"].split()[0]) / 1024,
-        "processor_s": sum(map(int, times)) / os.sysconf("SC_CLK_TCK"),
-    }
-
-
-def stolen_s() -> float:
-    """Return the time so far that a virtual machine's processors waited for their host."""
-    of_all = Path("/proc/stat").read_text().splitlines()[0].split()
-    return int(of_all[8]) / os.sysconf("SC_CLK_TCK")
-
-
-def _rounded(function: Any, values: NDArray[np.floating]) -> float | None:
-    return round(float(function(values)), 2) if len(values) else None
-
-
-def _longest_row(missing: Iterator[bool]) -> int:
-    longest = row = 0
-    for is_missing in missing:
-        row = row + 1 if is_missing else 0
-        longest = max(longest, row)
-    return longest
 
 
 # --- The publisher's process ------------------------------------------------------------------
@@ -239,150 +129,6 @@ def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
         yield publish
 
 
-@contextlib.contextmanager
-def ros_node(name: str) -> Iterator[tuple[Any, Any]]:
-    """Run a node in a context of its own; yield it and its context."""
-    # Only now: rclpy reads the environment when it is imported and started.
-    import rclpy
-    from rclpy.context import Context
-    from rclpy.node import Node
-    from rclpy.signals import SignalHandlerOptions
-
-    context = Context()
-    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
-    try:
-        node = Node(name, context=context)
-        try:
-            yield node, context
-        finally:
-            node.destroy_node()
-    finally:
-        context.try_shutdown()
-
-
-# --- The subscriber ---------------------------------------------------------------------------
-
-
-class Listener:
-    """Writes down when depth images come, and what the depth node reports.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-    executor : rclpy.executors.Executor
-        The node's.
-    reliable : bool
-        Ask for lost images again.
-    """
-
-    def __init__(self, node: Any, executor: Any, reliable: bool) -> None:
-        from diagnostic_msgs.msg import DiagnosticArray
-        from rclpy.qos import QoSProfile, ReliabilityPolicy
-        from sensor_msgs.msg import Image
-
-        self.received: dict[int, int] = {}
-        self.statuses: list[tuple[int, dict[str, str]]] = []
-        self._executor = executor
-        policy = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        qos = QoSProfile(depth=5, reliability=policy)
-        node.create_subscription(Image, TOPIC, self._on_depth, qos)
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def listen(self, seconds: float, processes: Sequence["Process"]) -> None:
-        """Receive for some time; an `InputError` if a process has ended meanwhile."""
-        deadline_s = time.monotonic() + seconds
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            self._executor.spin_once(min(left_s, _SPIN_S))
-            for process in processes:
-                process.check()
-
-    def _on_depth(self, message: Any) -> None:
-        now_ns = time.time_ns()
-        stamp = message.header.stamp
-        self.received[stamp.sec * 1_000_000_000 + stamp.nanosec] = now_ns
-
-    def _on_diagnostics(self, message: Any) -> None:
-        now_ns = time.time_ns()
-        for status in message.status:
-            if status.name.startswith("depth_node:"):
-                self.statuses.append((now_ns, {pair.key: pair.value for pair in status.values}))
-
-
-@contextlib.contextmanager
-def listener(reliable: bool) -> Iterator[Listener]:
-    """Run the subscriber."""
-    with ros_node("node_rate") as (node, context):
-        from rclpy.executors import SingleThreadedExecutor
-
-        executor = SingleThreadedExecutor(context=context)
-        executor.add_node(node)
-        try:
-            yield Listener(node, executor, reliable)
-        finally:
-            executor.shutdown()
-
-
-# --- The processes ----------------------------------------------------------------------------
-
-
-class Process:
-    """A program that does not outlive the `with` block.
-
-    Parameters
-    ----------
-    arguments : sequence of str
-        Command line after the Python interpreter.
-    log_file : Path
-        Where everything goes that it says.
-    """
-
-    def __init__(self, arguments: Sequence[str], log_file: Path) -> None:
-        self._name = log_file.stem
-        self._log_file = log_file
-        with log_file.open("wb") as log:
-            self._process = subprocess.Popen(
-                [sys.executable, *arguments],
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=subprocess.STDOUT,
-            )
-        self.pid = self._process.pid
-
-    def __enter__(self) -> "Process":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.end()
-
-    def interrupt(self) -> None:
-        """Tell the program to end, as Ctrl-C does, and do not wait for it."""
-        if self._process.poll() is None:
-            self._process.send_signal(signal.SIGINT)
-
-    def end(self) -> None:
-        """End the program, by force if it takes more than five seconds."""
-        try:
-            self.interrupt()
-            self._process.wait(5.0)
-        except subprocess.TimeoutExpired:
-            pass
-        finally:
-            if self._process.poll() is None:
-                self._process.kill()
-                self._process.wait()
-
-    def check(self) -> None:
-        """Raise an `InputError` with the last lines of the program if it has ended."""
-        if self._process.poll() is not None:
-            status = self._process.returncode
-            raise InputError(f"{self._name} ended with status {status}:{self.said()}")
-
-    def said(self) -> str:
-        """Return the last lines that the program has written."""
-        lines = self._log_file.read_text(errors="replace").splitlines()[-_LAST_LINES:]
-        return "".join(f"\n    {line}" for line in lines)
-
-
 def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> list[str]:
     """Return the command line of the depth node; parameters `given` as NAME:=VALUE come last."""
     parameters = [
@@ -401,16 +147,6 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
 def _is_given(parameter: str, given: Sequence[str]) -> bool:
     name = parameter.partition(":=")[0]
     return any(other.partition(":=")[0] == name for other in given)
-
-
-def wait_for_depth(listener: Listener, processes: Sequence[Process]) -> None:
-    """Receive until depth images come."""
-    deadline_s = time.monotonic() + _START_TIMEOUT_S
-    while len(listener.received) < _FRAMES_TO_START:
-        listener.listen(_SPIN_S, processes)
-        if time.monotonic() > deadline_s:
-            said = "".join(process.said() for process in processes)
-            raise InputError(f"no depth images in {_START_TIMEOUT_S:g} s{said}")
 
 
 # --- The benchmark ----------------------------------------------------------------------------
@@ -473,22 +209,13 @@ def measure(
         "seconds": seconds,
         "parameters": list(parameters),
         "publisher": {
-            "late_ms_p99": _rounded(lambda late: np.percentile(late, 99), sent["late_ms"]),
+            "late_ms_p99": rounded_or_none(lambda late: np.percentile(late, 99), sent["late_ms"]),
             "left_out": sent["left_out"],
         },
         "stolen_cores": round((stolen_after_s - stolen_before_s) / seconds, 3),
         "depth": stream_figures(sent["sent_ns"], onlooker.received, begun_ns, ended_ns),
         "node": node_figures(onlooker.statuses, sent["sent_ns"], begun_ns, ended_ns),
-        "process": {
-            "cores": round((after["processor_s"] - before["processor_s"]) / seconds, 2),
-            **{
-                f"{kind}_{when}_mb": round(figures[f"{kind}_mb"], 1)
-                for kind in ("rss", "anonymous")
-                for when, figures in (("begin", before), ("end", after))
-            },
-            "rss_growth_mb": round(after["rss_mb"] - before["rss_mb"], 1),
-            "anonymous_growth_mb": round(after["anonymous_mb"] - before["anonymous_mb"], 1),
-        },
+        "process": run_figures(before, after, seconds),
     }
 
 

@@ -14,7 +14,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from coded_aperture_benchmarks.datasets.misfits import MISFITS, Fitting, Recorded, recorded
+from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, Recorded, recorded
+from coded_aperture_benchmarks.datasets.misfits import MISFITS
 from costs import with_levels
 from scenes import (
     BLUR_STEP,

@@ -21,7 +21,8 @@ from cli_scene import (
     json_of_benchmarks,
     texture,
 )
-from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS, Fitting, recorded
+from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, recorded
+from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS
 from coded_aperture_benchmarks.suites import pictures
 from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.thesis.suites.stair import lost_cells

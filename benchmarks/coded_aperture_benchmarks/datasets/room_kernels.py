@@ -28,6 +28,35 @@ def _texel(textures, sides, starts, first, level, row, column):  # type: ignore[
     return found
 
 
+@njit(cache=True, fastmath=True, inline="always")
+def _first_board(boards, near, count, lx, ly, dx, dy):  # type: ignore[no-untyped-def]
+    """Return depth, place and number of the board that a ray meets first; -1: none.
+
+    The ray leaves the lens at `lx`, `ly` and moves by `dx`, `dy` in a metre of depth; `near` has
+    the numbers of the `count` boards that it may meet.
+    """
+    best, of_right, of_down, hit = _FARTHEST_M, 0.0, 0.0, -1
+    for index in range(count):
+        b = boards[near[index]]
+        # The corner, the normal, and the edges over their squared lengths.
+        towards = b[3] * dx + b[4] * dy + b[5]
+        if abs(towards) < 1e-9:
+            continue
+        qx, qy = b[0] - lx, b[1] - ly
+        z = (b[3] * qx + b[4] * qy + b[5] * b[2]) / towards
+        if z < _NEAREST_M or z >= best:
+            continue
+        qx, qy, qz = z * dx - qx, z * dy - qy, z - b[2]
+        r = b[6] * qx + b[7] * qy + b[8] * qz
+        if r < 0 or r > 1:
+            continue
+        d = b[9] * qx + b[10] * qy + b[11] * qz
+        if d < 0 or d > 1:
+            continue
+        best, of_right, of_down, hit = z, r, d, near[index]
+    return best, of_right, of_down, hit
+
+
 @njit(cache=True, fastmath=True, parallel=True)
 def trace(  # type: ignore[no-untyped-def]
     boards, boxes, paint, textures, sides, starts, samples, moves, square_px, lens, height, width
@@ -60,25 +89,7 @@ def trace(  # type: ignore[no-untyped-def]
                     lx, ly = u * extent_m, v * extent_m
                     dx = (x - right_px - middle_x) / focal_px - lx / focus_m
                     dy = (y - down_px - middle_y) / focal_px - ly / focus_m
-                    best, of_right, of_down, hit = _FARTHEST_M, 0.0, 0.0, -1
-                    for index in range(count):
-                        b = boards[near[index]]
-                        # The corner, the normal, and the edges over their squared lengths.
-                        towards = b[3] * dx + b[4] * dy + b[5]
-                        if abs(towards) < 1e-9:
-                            continue
-                        qx, qy = b[0] - lx, b[1] - ly
-                        z = (b[3] * qx + b[4] * qy + b[5] * b[2]) / towards
-                        if z < _NEAREST_M or z >= best:
-                            continue
-                        qx, qy, qz = z * dx - qx, z * dy - qy, z - b[2]
-                        r = b[6] * qx + b[7] * qy + b[8] * qz
-                        if r < 0 or r > 1:
-                            continue
-                        d = b[9] * qx + b[10] * qy + b[11] * qz
-                        if d < 0 or d > 1:
-                            continue
-                        best, of_right, of_down, hit = z, r, d, near[index]
+                    best, of_right, of_down, hit = _first_board(boards, near, count, lx, ly, dx, dy)
                     if hit < 0:
                         continue
                     first, tone, contrast, texels_right, texels_down, texel_m = paint[hit]

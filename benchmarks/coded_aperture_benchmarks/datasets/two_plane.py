@@ -102,16 +102,15 @@ def composite(
     clear = (1 - opacity).astype(np.float32)
     behind = back.astype(np.float32)
     coded = np.zeros((rows, columns), np.float64)
+
+    def part(down: int, right: int) -> tuple[slice, slice]:
+        return slice(reach - down, reach - down + rows), slice(
+            reach - right, reach - right + columns
+        )
+
     for i, j in np.argwhere(weights):
         (down1, down2), (right1, right2) = vertical[i], horizontal[j]
-        here = (
-            slice(reach - down1, reach - down1 + rows),
-            slice(reach - right1, reach - right1 + columns),
-        )
-        there = (
-            slice(reach - down2, reach - down2 + rows),
-            slice(reach - right2, reach - right2 + columns),
-        )
+        here, there = part(down1, right1), part(down2, right2)
         coded += weights[i, j] * (lit[here] + clear[here] * behind[there])
     return coded.astype(np.float32)
 

@@ -80,9 +80,21 @@ def score(
         std_dev : None, or of the published pixels the shares with errors below one and two
         standard deviations; and ause, where pixels are sorted by the relative standard deviation.
     """
-    depth, truth = _frames(depth_m), _frames(truth_m)
-    confidence = np.nan_to_num(_frames(confidence))
-    cameras = [camera] * len(truth) if isinstance(camera, Camera) else camera
+    maps = _frames(depth_m), _frames(truth_m), np.nan_to_num(_frames(confidence))
+    cameras = [camera] * len(maps[1]) if isinstance(camera, Camera) else camera
+    std_dev = None if std_dev_m is None else _frames(std_dev_m)
+    result: Row = _rounded(_scores(*maps, std_dev, cameras, threshold))
+    return result
+
+
+def _scores(
+    depth: NDArray[np.floating],
+    truth: NDArray[np.floating],
+    confidence: NDArray[np.floating],
+    std_dev: NDArray[np.floating] | None,
+    cameras: Sequence[Camera],
+    threshold: float,
+) -> Row:
     sizes = [each.blur_size_px(frame) for each, frame in zip(cameras, truth, strict=True)]
     near_edge = np.stack([edge_distance_px(size) for size in sizes]) <= NEAR_EDGE_PX
     with_truth = np.isfinite(truth)
@@ -93,7 +105,7 @@ def score(
     sure = confidence >= CONFIDENT
     published = confidence >= threshold
     reliability = Reliability.from_estimates(confidence[known], relative[known] <= RIGHT_WITHIN)
-    result = {
+    return {
         "pixels": int(np.count_nonzero(with_truth)),
         "near_edge_pixels": int(np.count_nonzero(with_truth & near_edge)),
         **_errors(depth, truth, relative),
@@ -120,12 +132,10 @@ def score(
         ),
         "thin": _thin(sizes, right),
         "gaps": _thin([-size for size in sizes], right, elongation=_GAP_ELONGATION),
-        "std_dev": None,
+        "std_dev": None
+        if std_dev is None
+        else _std_dev(relative, std_dev / truth, std_dev / depth, published),
     }
-    if std_dev_m is not None:
-        std_dev = _frames(std_dev_m)
-        result["std_dev"] = _std_dev(relative, std_dev / truth, std_dev / depth, published)
-    return _rounded(result)
 
 
 def score_rods(relative: Sequence[NDArray[np.floating]], rods: Sequence[Rods]) -> dict[str, Any]:

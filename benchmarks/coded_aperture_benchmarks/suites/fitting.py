@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.misfits import FITTING_LIGHT
+from coded_aperture_benchmarks.datasets.fitting_frames import FITTING_LIGHT
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, scene_camera, scene_meta
 from coded_aperture_benchmarks.datasets.video import load_video
 from coded_aperture_benchmarks.methods.depth import CameraBank, predictor

@@ -4,9 +4,7 @@ import argparse
 import dataclasses
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
-from itertools import groupby, pairwise
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +14,6 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
 from coded_aperture_benchmarks.datasets.tag_cards import (
     CARDS_M,
-    QR,
     SIZE,
     TAG,
     WALL_M,
@@ -29,11 +26,28 @@ from coded_aperture_benchmarks.figures import shares_over_distance
 from coded_aperture_benchmarks.methods.depth import CameraBank, StackBank, predict
 from coded_aperture_benchmarks.metrics.codes import CodeReader, code_of, distance_error
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
-from coded_aperture_benchmarks.rows import grouped, or_dash
+from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.suites.tags_tables import (
+    BEFORE,
+    CODED,
+    METHODS,
+    MIDDLE,
+    ORDINARY,
+    SHARP,
+    STOPS,
+    TITLES,
+    TRUE,
+    blur_errors,
+    goal,
+    part_edges_m,
+    part_of,
+    part_titles,
+    pooled,
+    text_of,
+)
 from coded_aperture_ros.core.arguments import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB
@@ -42,7 +56,6 @@ from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import SensorModel
 
-BEFORE, MIDDLE = "before", "middle"
 _FOCAL_LENGTH_PX, _BLUR_PX = 1194.0, (2.0, 16.0)
 _MIDDLE_M = 2 / sum(1 / distance for distance in CARDS_M)
 # Masks are alike on both sides of the focal plane up to this `asymmetry`.
@@ -52,26 +65,8 @@ _LEVELS, _LEAST_PX, _GUARD, _WINDOW_PX = 30, 1.0, 1.08, 48
 _READ_NOISE, _BITS = 2.5, 12
 # Smaller ones are not read even where they are sharp; of larger ones not four fit into a frame.
 _MODULES_PX = 2.0, 6.0
-# Of the light that passes the mask, what passes the ordinary lens.
-_STOPS = (1.0, 0.5, 0.25, 0.1)
-# Inverse distances are told in so many equal parts.
-_PARTS = 5
-# A part of the distances belongs to the range if as many of its cards are read.
-_READ_ENOUGH = 0.5
-_METHODS = ("fast", "cg", "sparse")
 _WIDTH_PX = 1600
 _GREEN, _RED = (0, 220, 0), (255, 40, 40)
-# What codes are read from, and what it is called.
-SHARP, CODED, TRUE = "sharp", "coded", "sparse, true depth"
-_TITLES = {
-    SHARP: "sharp, no noise",
-    CODED: "coded frame",
-    **{method: f"coded, {method}" for method in _METHODS},
-    TRUE: "coded, sparse, true depth",
-    **{f"ordinary {stop:g}": f"ordinary, {100 * stop:.0f} % of the light" for stop in _STOPS},
-}
-# What a coded camera knows by itself.
-_OURS, _ORDINARY = (CODED, *_METHODS), tuple(f"ordinary {stop:g}" for stop in _STOPS)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -193,7 +188,7 @@ def _seen(seed: int, module_px: float, lens: Lens) -> tuple[CardScene, dict[str,
     scene = card_scene(seed, module_px)
     coded = scene.seen_by(lens.coded())
     lights = {SHARP: coded.all_in_focus(), CODED: coded.coded()}
-    for name, stop in zip(_ORDINARY, _STOPS, strict=True):
+    for name, stop in zip(ORDINARY, STOPS, strict=True):
         lights[name] = scene.seen_by(lens.ordinary(stop)).coded()
     return scene, lights
 
@@ -202,7 +197,7 @@ def _exposed(cell: Cell, lights: dict[str, FloatArray]) -> Iterator[tuple[str, F
     """Yield every frame after the same time of exposure, amplified where there is less light."""
     random = np.random.default_rng([cell.scene, cell.electrons])
     sensor = SensorModel(bits=_BITS)
-    for name, share in ((CODED, 1.0), *zip(_ORDINARY, _STOPS, strict=True)):
+    for name, share in ((CODED, 1.0), *zip(ORDINARY, STOPS, strict=True)):
         white = cell.electrons * share
         counted = random.poisson(np.clip(lights[name], 0, None) * white)
         noise = random.normal(0, _READ_NOISE, counted.shape)
@@ -218,7 +213,7 @@ def _found(lens: Lens, coded: FloatArray) -> FloatArray:
 def _deblurred(
     lens: Lens, coded: FloatArray, found_px: FloatArray, true_px: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
-    for method in _METHODS:
+    for method in METHODS:
         deblurrer = Deblurrer(_bank(lens).learn().stack, DeblurConfig(method=method))
         yield method, deblurrer.deblur(coded, found_px)
         if method == "sparse":
@@ -248,36 +243,10 @@ def _bank(lens: Lens) -> CameraBank | StackBank:
     return StackBank(render_psf_stack(camera.mask, sizes_px), LearnConfig(_WINDOW_PX))
 
 
-def part_edges_m() -> list[float]:
-    """Return the distances between which the parts are, nearest first."""
-    nearest, farthest = (1 / distance for distance in CARDS_M)
-    return [float(1 / inverse) for inverse in np.linspace(nearest, farthest, _PARTS + 1)]
-
-
-def part_of(distance_m: float) -> int:
-    """Return the part of a distance, 0 for the nearest."""
-    return int(np.clip(np.searchsorted(part_edges_m(), distance_m) - 1, 0, _PARTS - 1))
-
-
-def range_of(shares: Sequence[float | None]) -> tuple[int, int]:
-    """Return the longest run of parts in each of which at least half is read: from, to before.
-
-    A part without a card ends a run. (0, 0) if there is none; the nearest of several.
-    """
-    best, start = (0, 0), 0
-    enough = [share is not None and share >= _READ_ENOUGH for share in shares]
-    for read, run in groupby(enough):
-        stop = start + len(list(run))
-        if read and stop - start > best[1] - best[0]:
-            best = start, stop
-        start = stop
-    return best
-
-
 def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
     rows = [row for each in measured for row in each.rows]
-    pooled = [
-        {"electrons": electrons, "given": given, **_pooled(group)}
+    by_given = [
+        {"electrons": electrons, "given": given, **pooled(group)}
         for (electrons, given), group in grouped(rows, "electrons", "given").items()
     ]
     return {
@@ -287,83 +256,17 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
         "part_edges_m": [round(edge, 3) for edge in part_edges_m()],
         "blur_at_ends_px": {
             name: round(_blur_at_ends_px(_lens(args), stop), 2)
-            for name, stop in zip(_ORDINARY, _STOPS, strict=True)
+            for name, stop in zip(ORDINARY, STOPS, strict=True)
         },
         "same_depth_of_field": _same_depth_of_field(args),
         "seconds": seconds,
-        "blur_errors": list(_blur_errors(rows)),
-        "rows": pooled,
+        "blur_errors": list(blur_errors(rows)),
+        "rows": by_given,
         "goal": [
-            {"electrons": electrons, **_goal(group)}
-            for (electrons,), group in grouped(pooled, "electrons").items()
+            {"electrons": electrons, **goal(group)}
+            for (electrons,), group in grouped(by_given, "electrons").items()
         ],
     }
-
-
-def _pooled(rows: list[Row]) -> Row:
-    """Return what is read of cards, in all and by their distance."""
-    of_kind = {kind: [row for row in rows if row["kind"] == kind] for kind in (TAG, QR)}
-    parts = _by_part(rows)
-    start, stop = range_of(parts)
-    edges, errors = part_edges_m(), [row["distance_error"] for row in rows]
-    errors = [error for error in errors if error is not None]
-    return {
-        "read": _share(rows),
-        **{f"read_{kind}": _share(group) for kind, group in of_kind.items()},
-        "parts": parts,
-        **{f"parts_{kind}": _by_part(group) for kind, group in of_kind.items()},
-        "distance_error": _median(errors, 4),
-        "from_m": round(edges[start], 3) if stop > start else None,
-        "to_m": round(edges[stop], 3) if stop > start else None,
-        "dioptres": round((stop - start) * (1 / edges[0] - 1 / edges[-1]) / _PARTS, 3),
-    }
-
-
-def _blur_errors(rows: list[Row]) -> Iterator[Row]:
-    """Yield what is known of the blur on codes that `sparse` gets read by it, and on the others."""
-    of_sparse = [row for row in rows if row["given"] == "sparse"]
-    for (electrons, read), group in grouped(of_sparse, "electrons", "read").items():
-        errors = [row["blur_error_px"] for row in group if row["known"]]
-        yield {
-            "electrons": electrons,
-            "read": read,
-            "codes": len(group),
-            "known": round(float(np.mean([row["known"] for row in group])), 3),
-            "blur_error_px": _median(errors, 3),
-        }
-
-
-def _median(values: Sequence[float], digits: int) -> float | None:
-    return round(float(np.median(values)), digits) if values else None
-
-
-def _by_part(rows: list[Row]) -> list[float | None]:
-    return [_share([row for row in rows if row["part"] == part]) for part in range(_PARTS)]
-
-
-def _share(rows: list[Row]) -> float | None:
-    return round(float(np.mean([row["read"] for row in rows])), 3) if rows else None
-
-
-def _goal(rows: list[Row]) -> Row:
-    """Return the longer range of ours, and of the ordinary lens, in dioptres, and their ratio."""
-    ours, ordinary = (
-        max((row for row in rows if row["given"] in names), key=_far_and_often)
-        for names in (_OURS, _ORDINARY)
-    )
-    ratio = ours["dioptres"] / ordinary["dioptres"] if ordinary["dioptres"] else None
-    return {
-        "ours": ours["given"],
-        "ours_dioptres": ours["dioptres"],
-        "ordinary": ordinary["given"],
-        "ordinary_dioptres": ordinary["dioptres"],
-        "ratio": None if ratio is None else round(ratio, 3),
-    }
-
-
-def _far_and_often(row: Row) -> tuple[float, float]:
-    """Order by range, then by what is read in all."""
-    return row["dioptres"], row["read"]
 
 
 def _blur_at_ends_px(lens: Lens, stop: float) -> float:
@@ -373,82 +276,20 @@ def _blur_at_ends_px(lens: Lens, stop: float) -> float:
 
 def _same_depth_of_field(args: argparse.Namespace) -> str | None:
     """Return the widest stop that blurs nothing by more than a module."""
-    for name, stop in zip(_ORDINARY, _STOPS, strict=True):
+    for name, stop in zip(ORDINARY, STOPS, strict=True):
         if _blur_at_ends_px(_lens(args), stop) <= args.module:
             return name
     return None
 
 
-def _text(results: Row) -> str:
-    edges = results["part_edges_m"]
-    shown: dict[str, Any] = {
-        "read from": lambda row: _TITLES[row["given"]],
-        "tags": lambda row: _percent(row["read_tag"]),
-        "QR codes": lambda row: _percent(row["read_qr"]),
-        **{title: _in_part(index) for index, title in enumerate(_part_titles(edges))},
-        "error of distance": lambda row: _percent(row["distance_error"], "{:.1f} %"),
-        "range": _range_text,
-    }
-    fits = results["same_depth_of_field"]
-    parts = [
-        f"{results['cards']} cards, modules of {results['module']:g} px, mask {results['mask']}, "
-        f"in focus {'in the middle' if results['focus'] == MIDDLE else 'before them'}, "
-        f"{'sRGB' if results['srgb'] else 'linear'} frames; read, %: tags / QR codes by distance\n"
-        "range: distances at which at least half of all cards is read",
-        "blur of the ordinary lens at both ends: "
-        + ", ".join(
-            f"{size:.1f} px ({_TITLES[name].removeprefix('ordinary, ')})"
-            for name, size in results["blur_at_ends_px"].items()
-        )
-        + f"\nno more than a module: {'none' if fits is None else _TITLES[fits]}",
-    ]
-    for (electrons,), rows in grouped(results["rows"], "electrons").items():
-        parts.append(f"{electrons} electrons make white\n{columns(rows, shown)}")
-    errors = {
-        "electrons": "{electrons}",
-        "by sparse": lambda row: "read" if row["read"] else "missed",
-        "codes": "{codes}",
-        "blur known of": lambda row: _percent(row["known"], "{:.0f} %"),
-        "off by (median)": lambda row: or_dash(row["blur_error_px"], "{:.2f} px"),
-    }
-    parts.append(columns(results["blur_errors"], errors))
-    goals = {
-        "electrons": "{electrons}",
-        "longest range of ours": lambda row: _longest(row, "ours"),
-        "of the ordinary lens": lambda row: _longest(row, "ordinary"),
-        "ratio": lambda row: or_dash(row["ratio"], "{:.2f}"),
-    }
-    return "\n\n".join([*parts, columns(results["goal"], goals)])
-
-
-def _percent(share: float | None, form: str = "{:.0f}") -> str:
-    return or_dash(None if share is None else 100 * share, form)
-
-
-def _in_part(index: int) -> Any:
-    return lambda row: " / ".join(_percent(row[f"parts_{kind}"][index]) for kind in (TAG, QR))
-
-
-def _part_titles(edges_m: Sequence[float]) -> list[str]:
-    return [f"{near:.2f}-{far:.2f} m" for near, far in pairwise(edges_m)]
-
-
-def _range_text(row: Row) -> str:
-    return "none" if row["from_m"] is None else f"{row['from_m']:.2f} to {row['to_m']:.2f} m"
-
-
-def _longest(row: Row, whose: str) -> str:
-    return f"{row[f'{whose}_dioptres']:.2f} dioptres, {_TITLES[row[whose]]}"
-
-
 def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
-    stopped = _same_depth_of_field(args) or _ORDINARY[-1]
-    given = [SHARP, CODED, "fast", "sparse", _ORDINARY[0], stopped]
+    stopped = _same_depth_of_field(args) or ORDINARY[-1]
+    given = [SHARP, CODED, "fast", "sparse", ORDINARY[0], stopped]
     for each in measured:
         if each.cell.scene == 0:
             cards = card_scene(0, each.cell.module_px).cards
             parts = [
-                (_TITLES[name], [_outlined(each.frames[name], cards, each.cell)])
+                (TITLES[name], [_outlined(each.frames[name], cards, each.cell)])
                 for name in dict.fromkeys(given)
             ]
             picture = of_width(side_by_side(parts), _WIDTH_PX)
@@ -456,13 +297,13 @@ def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
     results = _results(args, measured, 0.0)
     panels = {
         f"{electrons} electrons": {
-            _TITLES[row["given"]]: [np.nan if share is None else share for share in row["parts"]]
+            TITLES[row["given"]]: [np.nan if share is None else share for share in row["parts"]]
             for row in rows
             if row["given"] != SHARP
         }
         for (electrons,), rows in grouped(results["rows"], "electrons").items()
     }
-    titles = [title.removesuffix(" m") for title in _part_titles(results["part_edges_m"])]
+    titles = [title.removesuffix(" m") for title in part_titles(results["part_edges_m"])]
     shares_over_distance(panels, titles, folder / "read.png")
 
 
@@ -533,6 +374,6 @@ SUITE = Suite(
     cells=_cells,
     measure=measure,
     results=_results,
-    text=_text,
+    text=text_of,
     draw=_draw,
 )

@@ -8,15 +8,14 @@ import cv2
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.datasets.misfits import (
+from coded_aperture_benchmarks.datasets.fitting_frames import (
     FITTING_LIGHT,
-    LIGHT,
-    MISFITS,
     Change,
     Fitting,
     Recorded,
     recorded,
 )
+from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.methods.depth import RANGE_MARGIN, StackBank, predict
 from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published

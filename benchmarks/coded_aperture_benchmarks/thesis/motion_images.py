@@ -121,7 +121,7 @@ def identify_motions(
     crop = textures.crops(1, whole, whole, random)[0]
     shape = (SIDE_PX, SIDE_PX)
     nearest = np.ix_(*MapGrid.of(engine.grid, shape, shape).patches)
-    errors: dict[str, list[NDArray[np.intp]]] = {"defocus": [], "direction": [], "length": []}
+    errors: dict[str, list[NDArray[np.intp]]] = {}
     for level, psf in enumerate(stack.psfs):
         for motion, vector in enumerate(motions.vectors_px):
             if not random_texture:
@@ -132,12 +132,20 @@ def identify_motions(
             engine.project(coded)
             energies = engine.of_all(max(noise, NOISE_FLOOR))
             best = energies.reshape(-1, *energies.shape[2:]).argmin(axis=0)[nearest]
-            found_motion, found_level = np.divmod(best, LEVELS)
-            turn = np.abs(found_motion // LENGTHS - motion // LENGTHS)
-            errors["defocus"].append(np.abs(found_level - level))
-            errors["direction"].append(np.minimum(turn, DIRECTIONS - turn))
-            errors["length"].append(np.abs(found_motion % LENGTHS - motion % LENGTHS))
+            for name, off in _errors(best, level, motion).items():
+                errors.setdefault(name, []).append(off)
     return {
         name: Identification(float(np.mean(values)), float(np.mean(np.array(values) == 0)))
         for name, values in errors.items()
+    }
+
+
+def _errors(best: NDArray[np.intp], level: int, motion: int) -> dict[str, NDArray[np.intp]]:
+    """Return how far off the best hypotheses are, in levels, directions and lengths."""
+    found_motion, found_level = np.divmod(best, LEVELS)
+    turn = np.abs(found_motion // LENGTHS - motion // LENGTHS)
+    return {
+        "defocus": np.abs(found_level - level),
+        "direction": np.minimum(turn, DIRECTIONS - turn),
+        "length": np.abs(found_motion % LENGTHS - motion % LENGTHS),
     }

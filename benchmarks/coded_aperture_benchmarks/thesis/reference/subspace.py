@@ -227,18 +227,7 @@ def learn_subspace_bank(
         See `LearnConfig` and `learn_bank`.
     """
     size = patch_px**2
-    check_levels(len(stack))
-    if not 9 <= patch_px <= 65 or patch_px % 2 == 0:
-        raise InputError(f"patch_px: expected an odd number from 9 to 65, got {patch_px}")
-    if stack.psfs.shape[-1] > patch_px:
-        raise InputError(
-            f"a PSF of {stack.psfs.shape[-1]} px does not fit the {patch_px} px patch: use a larger"
-            " patch, or fewer or smaller blur sizes"
-        )
-    if not 1 <= rank < size:
-        raise InputError(f"rank: expected 1 to {size - 1} for {patch_px} px patches, got {rank}")
-    if basis not in (*BASES, None):
-        raise InputError(f"basis: expected one of {', '.join(BASES)} or None, got {basis!r}")
+    _check(stack, patch_px, rank, basis)
     spanning = np.array([_subspace(psf, patch_px, rank, images) for psf in stack.psfs])
     mean_projector = np.einsum("dik,djk->ij", spanning, spanning, optimize=True) / len(stack)
     shares, directions = scipy.linalg.eigh(mean_projector)
@@ -259,6 +248,23 @@ def learn_subspace_bank(
         mask_digest=mask.digest if mask else "",
         learned_from=f"subspaces of rank {rank}, {'pictures' if images else 'power law'}",
     )
+
+
+def _check(stack: PsfStack, patch_px: int, rank: int, basis: str | None) -> None:
+    """Refuse what no bank can be learned with."""
+    size = patch_px**2
+    check_levels(len(stack))
+    if not 9 <= patch_px <= 65 or patch_px % 2 == 0:
+        raise InputError(f"patch_px: expected an odd number from 9 to 65, got {patch_px}")
+    if stack.psfs.shape[-1] > patch_px:
+        raise InputError(
+            f"a PSF of {stack.psfs.shape[-1]} px does not fit the {patch_px} px patch: use a larger"
+            " patch, or fewer or smaller blur sizes"
+        )
+    if not 1 <= rank < size:
+        raise InputError(f"rank: expected 1 to {size - 1} for {patch_px} px patches, got {rank}")
+    if basis not in (*BASES, None):
+        raise InputError(f"basis: expected one of {', '.join(BASES)} or None, got {basis!r}")
 
 
 def _lost(forms: NDArray, shares: NDArray, rank: int, levels: int) -> float:
