@@ -185,10 +185,9 @@ def measure(
         *("--publish", str(folder / "frames.npy"), "--rates", str(rate_hz)),
         *("--sent", str(sent_file)),
     ]
+    arguments = node_arguments(camera_file, reliable, parameters)
     with (
-        Process(
-            node_arguments(camera_file, reliable, parameters), folder / "depth_node.log"
-        ) as node,
+        Process(arguments, folder / "depth_node.log") as node,
         Process(publishing, folder / "publisher.log") as frames,
         listener(reliable) as onlooker,
     ):
@@ -204,14 +203,12 @@ def measure(
             raise InputError(f"the publisher did not end as it should:{frames.said()}")
     sent = json.loads(sent_file.read_text())
     sent_file.unlink()
+    late_ms_p99 = rounded_or_none(lambda late: np.percentile(late, 99), sent["late_ms"])
     return {
         "rate_hz": rate_hz,
         "seconds": seconds,
         "parameters": list(parameters),
-        "publisher": {
-            "late_ms_p99": rounded_or_none(lambda late: np.percentile(late, 99), sent["late_ms"]),
-            "left_out": sent["left_out"],
-        },
+        "publisher": {"late_ms_p99": late_ms_p99, "left_out": sent["left_out"]},
         "stolen_cores": round((stolen_after_s - stolen_before_s) / seconds, 3),
         "depth": stream_figures(sent["sent_ns"], onlooker.received, begun_ns, ended_ns),
         "node": node_figures(onlooker.statuses, sent["sent_ns"], begun_ns, ended_ns),

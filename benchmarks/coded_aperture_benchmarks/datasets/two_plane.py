@@ -82,11 +82,7 @@ def composite(
     ndarray, float32 [rows - 2 r, columns - 2 r]
         Without the border of `reach_px` in which something outside of the pictures would count.
     """
-    if not front.shape == opacity.shape == back.shape:
-        raise InputError(
-            "front, opacity and back: expected one shape, got "
-            f"{list(front.shape)}, {list(opacity.shape)} and {list(back.shape)}"
-        )
+    _check_shapes(front, opacity, back)
     reach = reach_px(front_blur_px, back_blur_px)
     rows, columns = (length - 2 * reach for length in front.shape)
     if min(rows, columns) < 1:
@@ -113,6 +109,16 @@ def composite(
         here, there = part(down1, right1), part(down2, right2)
         coded += weights[i, j] * (lit[here] + clear[here] * behind[there])
     return coded.astype(np.float32)
+
+
+def _check_shapes(
+    front: NDArray[np.floating], opacity: NDArray[np.floating], back: NDArray[np.floating]
+) -> None:
+    if not front.shape == opacity.shape == back.shape:
+        raise InputError(
+            "front, opacity and back: expected one shape, got "
+            f"{list(front.shape)}, {list(opacity.shape)} and {list(back.shape)}"
+        )
 
 
 def reach_px(*blur_sizes_px: float) -> int:

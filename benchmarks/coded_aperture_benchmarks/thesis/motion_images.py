@@ -22,7 +22,7 @@ from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.motion import MotionConfig, blurred_psf, learn_motion_bank
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
 
 # Size of the images, numbers of levels, directions and lengths of thesis 7.6.1.
 SIDE_PX = 70
@@ -107,14 +107,7 @@ def identify_motions(
         `defocus`, `direction` and `length`.
     """
     motions, stack = table_motions(), render_psf_stack(mask, BLUR_SIZES_PX)
-    static = learn_bank(stack, LearnConfig(window_px=window_px, rank=1))
-    config = config or MotionConfig()
-    engine = MotionEngine(
-        learn_motion_bank(static, motions, config.motion_rank),
-        (SIDE_PX, SIDE_PX),
-        _STRIDE_PX,
-        finalists=config.finalists,
-    )
+    engine = _engine(stack, window_px, config or MotionConfig())
     reach = (stack.psfs.shape[-1] + int(np.ceil(motions.longest_px))) // 2 + 1
     whole = SIDE_PX + 2 * reach
     random, random_texture = crops_generator(seed), textures.kind == "random"
@@ -138,6 +131,17 @@ def identify_motions(
         name: Identification(float(np.mean(values)), float(np.mean(np.array(values) == 0)))
         for name, values in errors.items()
     }
+
+
+def _engine(stack: PsfStack, window_px: int, config: MotionConfig) -> MotionEngine:
+    """Return what compares all motions of the table on frames of its size."""
+    static = learn_bank(stack, LearnConfig(window_px=window_px, rank=1))
+    return MotionEngine(
+        learn_motion_bank(static, table_motions(), config.motion_rank),
+        (SIDE_PX, SIDE_PX),
+        _STRIDE_PX,
+        finalists=config.finalists,
+    )
 
 
 def _errors(best: NDArray[np.intp], level: int, motion: int) -> dict[str, NDArray[np.intp]]:
