@@ -152,6 +152,12 @@ def _is_given(parameter: str, given: Sequence[str]) -> bool:
 # --- The benchmark ----------------------------------------------------------------------------
 
 
+def _publishing(frames_file: Path, rate_hz: float, sent_file: Path) -> list[str]:
+    """Return the command line of the publisher, this program."""
+    program = [str(Path(__file__).resolve()), "--publish", str(frames_file)]
+    return [*program, "--rates", str(rate_hz), "--sent", str(sent_file)]
+
+
 def measure(
     rate_hz: float,
     seconds: float,
@@ -180,11 +186,7 @@ def measure(
     """
     camera_file = share_directory() / "config" / CAMERA_FILE
     sent_file = folder / "sent.json"
-    publishing = [
-        str(Path(__file__).resolve()),
-        *("--publish", str(folder / "frames.npy"), "--rates", str(rate_hz)),
-        *("--sent", str(sent_file)),
-    ]
+    publishing = _publishing(folder / "frames.npy", rate_hz, sent_file)
     arguments = node_arguments(camera_file, reliable, parameters)
     with (
         Process(arguments, folder / "depth_node.log") as node,

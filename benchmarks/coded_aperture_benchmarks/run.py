@@ -7,7 +7,8 @@ import math
 import os
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -65,10 +66,9 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
     """
     cells = suite.cells(args)
     folder = _output_folder(args)
-    if getattr(args, "predictions", None) is not None:
-        os.environ[PREDICTIONS] = str(Path(args.predictions).resolve())
     start = time.perf_counter()
-    measured = map_in_processes(suite.measure, cells, getattr(args, "jobs", 1), "cell")
+    with _predictions_in(getattr(args, "predictions", None)):
+        measured = map_in_processes(suite.measure, cells, getattr(args, "jobs", 1), "cell")
     seconds = round(time.perf_counter() - start, 1)
     results = suite.results(args, measured, seconds)
     as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
@@ -81,6 +81,21 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
     if folder is not None and not args.json:
         print(f"{'figures and ' if suite.draw else ''}{RESULTS}: {folder}")
     return 0
+
+
+@contextmanager
+def _predictions_in(folder: str | None) -> Iterator[None]:
+    """Let all processes keep predictions in a folder, if there is one."""
+    before = os.environ.get(PREDICTIONS)
+    if folder is not None:
+        os.environ[PREDICTIONS] = str(Path(folder).resolve())
+    try:
+        yield
+    finally:
+        if before is None:
+            os.environ.pop(PREDICTIONS, None)
+        else:
+            os.environ[PREDICTIONS] = before
 
 
 def _output_folder(args: argparse.Namespace) -> Path | None:
