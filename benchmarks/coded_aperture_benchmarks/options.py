@@ -270,12 +270,6 @@ def seeds_of(args: Args) -> tuple[int, ...]:
     return tuple(range(args.seed, args.seed + args.repeats))
 
 
-def header(args: Args, *names: str, **others: Any) -> dict[str, Any]:
-    """Return options as results say them: `side` and `window` are in px."""
-    unit = {"side": "side_px", "window": "window_px"}
-    return {unit.get(name, name): getattr(args, name) for name in names} | others
-
-
 def folders_behind_masks(args: Args) -> list[tuple[Path, str]]:
     """Return the ray-traced scenes that are asked for, each with every mask that it has.
 

@@ -20,6 +20,9 @@ RESULTS = "results.json"
 # Names the folder of predictions in the environment, which other processes inherit.
 PREDICTIONS = "CODED_APERTURE_PREDICTIONS"
 
+# What options are called in the results.
+_WITH_UNIT = {"side": "side_px", "window": "window_px"}
+
 Row = dict[str, Any]
 
 
@@ -29,6 +32,7 @@ class Suite:
 
     Attributes
     ----------
+    name : str
     description, examples : str
         For its help.
     options : sequence of callable
@@ -38,23 +42,28 @@ class Suite:
         with `args.usage_error`, or an `InputError` about what was read.
     measure : callable
         Measures one cell. A module's function, so that other processes can import it.
+    said : sequence of str
+        Options that stand in the results.
     results : callable
-        From the options, what was measured in the cells' order, and the seconds that took, to a
-        dictionary for JSON, where NaN becomes null.
+        From the options and what was measured, in the cells' order, to a dictionary for JSON,
+        where NaN becomes null; beside the name, what is `said`, and the seconds it all took.
+        Without one these are the rows: one, or several, for each cell.
     text : callable
         From that dictionary to tables.
     draw : callable, optional
         Draws what was measured into a folder. Tables that are small enough to be read have none.
     """
 
+    name: str
     description: str
     examples: str
     options: Sequence[Callable[[argparse.ArgumentParser], None]]
     cells: Callable[[argparse.Namespace], Sequence[Any]]
     measure: Callable[[Any], Any]
-    results: Callable[[argparse.Namespace, list[Any], float], Row]
     text: Callable[[Row], str]
     draw: Callable[[argparse.Namespace, list[Any], Path], None] | None = None
+    said: Sequence[str] = ()
+    results: Callable[[argparse.Namespace, list[Any]], Row] | None = None
 
 
 def run(suite: Suite, args: argparse.Namespace) -> int:
@@ -70,7 +79,12 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
     with _predictions_in(getattr(args, "predictions", None)):
         measured = map_in_processes(suite.measure, cells, getattr(args, "jobs", 1), "cell")
     seconds = round(time.perf_counter() - start, 1)
-    results = suite.results(args, measured, seconds)
+    results = {
+        "benchmark": suite.name,
+        **{_WITH_UNIT.get(name, name): getattr(args, name) for name in suite.said},
+        "seconds": seconds,
+        **(suite.results(args, measured) if suite.results else _rows(measured)),
+    }
     as_json = json.dumps(_without_nan(results), indent=1, allow_nan=False)
     if folder is not None:
         with atomic_output(folder / RESULTS) as path:
@@ -81,6 +95,13 @@ def run(suite: Suite, args: argparse.Namespace) -> int:
     if folder is not None and not args.json:
         print(f"{'figures and ' if suite.draw else ''}{RESULTS}: {folder}")
     return 0
+
+
+def _rows(measured: Sequence[Row | list[Row]]) -> Row:
+    cells: list[Row] = []
+    for each in measured:
+        cells += each if isinstance(each, list) else [each]
+    return {"cells": cells}
 
 
 @contextmanager

@@ -90,10 +90,8 @@ def measure(cell: Cell) -> Row:
     return row
 
 
-def _results(args: options.Args, rows: list[Row], _: float) -> Row:
-    size = [args.size[1], args.size[0]]
-    how = options.header(args, "planes", "sigma", size=size, images=args.images)
-    return {"benchmark": "blind", **how, "masks": rows}
+def _results(args: options.Args, rows: list[Row]) -> Row:
+    return {"size": [args.size[1], args.size[0]], "masks": rows}
 
 
 def _text(results: Row) -> str:
@@ -110,6 +108,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="blind",
+    said=("planes", "sigma", "images"),
     description="Blur crops of photographs to 7 to 30 px in random order, with noise and in 256 "
     "steps, and find mask and blur sizes from them as calibrate blind does. Reported are the "
     "correlation of found and true mask (the better of both orientations, which spectra do not "

@@ -118,7 +118,7 @@ def _number(value: float) -> float:
     return round(float(value), 5)
 
 
-def _results(args: argparse.Namespace, measured: list[Row], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Row]) -> Row:
     camera = load_camera(args.camera)
     focal_px = camera.intrinsics.camera_matrix[0]
     sides = camera.image_width, camera.image_height
@@ -126,8 +126,6 @@ def _results(args: argparse.Namespace, measured: list[Row], seconds: float) -> R
     rows = [_at_distance(rows) for rows in grouped(measured, "depth_m").values()]
     good = [row["depth_m"] for row in rows if _stated(row)]
     return {
-        "benchmark": "datasheet",
-        **options.header(args, "noise", "levels"),
         "camera": str(args.camera),
         "mask": camera.mask.name,
         "field_of_view_deg": [round(2 * np.degrees(np.arctan(n / 2 / focal_px)), 1) for n in sides],
@@ -139,7 +137,6 @@ def _results(args: argparse.Namespace, measured: list[Row], seconds: float) -> R
         "cores": round(float(np.mean([row["cores"] for row in measured])), 2),
         "first_depth_s": max(row["first_s"] for row in measured),
         "light": round(float(camera.mask.transmission.mean()), 3),
-        "seconds": seconds,
         "rows": rows,
     }
 
@@ -198,6 +195,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="datasheet",
+    said=("noise", "levels"),
     description="Simulate a camera before textured planes and say what data sheets of depth "
     "cameras say: fill rate, error and temporal noise over distance, range, field of view, time of "
     "a frame and until the first depth. With the settings that nodes have; photographs on the "

@@ -167,18 +167,16 @@ def _mean_square(image: deblurring.Picture, truth: deblurring.Picture) -> float:
     return float(((image - truth) ** 2).mean())
 
 
-def _results(args: Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: Args, measured: list[Measured]) -> Row:
     page = photograph(args.folder)
     rows = [cell.row for cell in measured]
     return {
-        "benchmark": "deblur photograph",
         "file": _FILE,
         "size": list(page.image.shape),
         "psf_width_px": len(page.psf),
         "psf_rotated": page.rotated,
         "noise": rows[0]["noise"],
         "seed": args.seed,
-        "seconds": seconds,
         "cells": rows,
     }
 
@@ -210,6 +208,7 @@ def _draw(_: Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="deblur photograph",
     description="What the sharp picture, blurred again with the PSF, leaves unexplained of a "
     "photograph without known truth: the root mean square of g - h * f over the pixels whose "
     "whole PSF is in the picture, beside the noise. A ratio of 1 is noise alone; above, something "

@@ -243,17 +243,14 @@ def _mean_square(
     return float(((image - truth)[part] ** 2).mean()) if part.any() else 0.0
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     rows = [
         row
         for view in dict.fromkeys(cell.view for cell in measured)
         for row in _with_gains([cell for cell in measured if cell.view == view])
     ]
     return {
-        "benchmark": "deblur scenes",
-        **options.header(args, "noise", "levels", "seed"),
         "near_edge_px": _NEAR_EDGE_PX,
-        "seconds": seconds,
         "cells": rows,
         "references_ahead": {part: _ahead(rows, part) for part in _PARTS},
     }
@@ -361,6 +358,8 @@ def _telling_crops(seen: Seen) -> list[Place]:
 
 
 SUITE = Suite(
+    name="deblur scenes",
+    said=("noise", "levels", "seed"),
     description="Peak signal-to-noise ratio and structural similarity of the all-in-focus frames "
     "of ray-traced scenes, in linear light, and what they gain on the coded frame: by the true "
     "depth, by the depth that is estimated from the same frame, and by that without refinement. "

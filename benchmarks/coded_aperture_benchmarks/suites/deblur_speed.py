@@ -77,9 +77,8 @@ def measure(cell: Cell) -> Row:
     return {"method": cell.config.method, "channels": cell.channels, **dataclasses.asdict(times)}
 
 
-def _results(args: options.Args, rows: list[Row], _: float) -> Row:
-    how = options.header(args, "threads", "backend")
-    return {"benchmark": "deblur speed", "size": list(args.size), **how, "cells": rows}
+def _results(args: options.Args, rows: list[Row]) -> Row:
+    return {"size": list(args.size), "cells": rows}
 
 
 def _text(results: Row) -> str:
@@ -89,6 +88,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="deblur speed",
+    said=("threads", "backend"),
     description="Time of deblurring simulated frames through levin's mask, of blur sizes from "
     f"{_BLUR_SIZES_PX[0]:g} to {_BLUR_SIZES_PX[1]:g} px ({_LEVELS} levels), by a map of half "
     "their size. The noise is estimated in each frame. What is made once for a camera is not "

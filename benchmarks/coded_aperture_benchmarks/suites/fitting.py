@@ -146,14 +146,11 @@ def _row(
     }
 
 
-def _results(args: options.Args, measured: list[list[Row]], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[list[Row]]) -> Row:
     rows = list(itertools.chain(*measured))
     fitting = [row for row in rows if row["light"] == _AS_IT_IS]
     changing = [row for row in rows if row["light"] != _AS_IT_IS]
     return {
-        "benchmark": "fitting",
-        **options.header(args, "seed"),
-        "seconds": seconds,
         "fitting": len(fitting),
         "said_to_fit": mean_of([not row["cause"] for row in fitting] or [1], 4),
         "coverage_lost": mean_of(
@@ -209,6 +206,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="fitting",
+    said=("seed",),
     description="Count how many frames that fit their bank are said not to, and what the check of "
     "every frame costs in coverage: stills in five lights and noises, planes, and videos. Of "
     "videos the light changes, too: in steps, slowly, as a camera that hunts for its exposure, "

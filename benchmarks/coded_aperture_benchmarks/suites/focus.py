@@ -109,12 +109,9 @@ def _scores(estimate: DepthEstimate, true_m: FloatArray) -> Row:
     }
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows]
     return {
-        "benchmark": "focus",
-        **options.header(args, "masks", "scenes", "noise"),
-        "seconds": seconds,
         "rows": rows,
         "pooled": [
             {"setting": setting, "mask": mask, "given": given, **_pooled(group)}
@@ -170,6 +167,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="focus",
+    said=("masks", "scenes", "noise"),
     description="Depth from two frames of one view at two focus settings (depth "
     "--refocused-frame), of random layered scenes, beside one frame and one of twice the exposure, "
     "whose noise has half the variance. With scenes beyond the focal plane, and with scenes that "

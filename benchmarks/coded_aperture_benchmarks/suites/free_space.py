@@ -159,16 +159,13 @@ def _by(rows: list[Row], *names: str) -> list[Row]:
     ]
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows if row["fits"]]
     every = [row for each in measured for row in each.rows]
     return {
-        "benchmark": "free-space",
-        **options.header(args, "masks", "risks", "frames"),
         "folders": [str(folder) for folder in args.folders],
         "fitting": sum(each.rows[0]["fits"] for each in measured),
         "of": len(measured),
-        "seconds": seconds,
         "rows": every,
         "by_kind": _by(rows, "kind"),
         "by_mask": _by(rows, "mask"),
@@ -213,6 +210,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="free-space",
+    said=("masks", "risks", "frames"),
     description="Bounds on free space (depth --free-space-risk) of random frames that were not "
     "used to set them: furnished rooms, empty ones, and layers of all kinds of things, behind "
     "three masks and with three noises; or of ray-traced scenes. How many pixels show something "

@@ -98,15 +98,6 @@ def _median(values: np.ndarray) -> float | None:
     return round(float(np.median(values)), 4) if values.size else None
 
 
-def _results(args: argparse.Namespace, measured: list[list[Row]], seconds: float) -> Row:
-    return {
-        "benchmark": "lens",
-        **options.header(args, "noise", "levels"),
-        "seconds": seconds,
-        "cells": [row for rows in measured for row in rows],
-    }
-
-
 def _text(results: Row) -> str:
     names = ("all", *_THIRDS, "confident", "right", "said")
     lines = [
@@ -126,6 +117,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="lens",
+    said=("noise", "levels"),
     description="Measure depth of ray-traced scenes through a lens whose focus moves towards the "
     "corners, with a camera file as from the data sheet, and with what calibrate field finds from "
     "pictures of planes.",
@@ -148,6 +141,5 @@ SUITE = Suite(
     ),
     cells=_cells,
     measure=measure,
-    results=_results,
     text=_text,
 )

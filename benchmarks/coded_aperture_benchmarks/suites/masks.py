@@ -71,14 +71,12 @@ def measure(cell: Cell) -> list[float]:
     return [part.row["mean_error"] for (part,) in parts]
 
 
-def _results(args: options.Args, errors: list[list[float]], _: float) -> Row:
+def _results(args: options.Args, errors: list[list[float]]) -> Row:
     masks = random_masks(args.count, args.seed)
     scorer = MaskScorer(sigmas=args.sigmas)
     predicted = scorer.score(masks).depth_error
     with_pictures, measured = _with_pictures(args, masks), np.array(errors)
     return {
-        "benchmark": "masks",
-        **options.header(args, "images", "windows"),
         "rank_correlation": _rank_correlation(args.sigmas, predicted, measured),
         "rank_correlation_pictures": _rank_correlation(args.sigmas, with_pictures, measured),
         "masks_per_second": round(_masks_per_second(scorer)),
@@ -156,6 +154,8 @@ def _ranks_text(ranks: dict[str, float]) -> str:
 
 
 SUITE = Suite(
+    name="masks",
+    said=("images", "windows"),
     description="Predict the depth error of random masks of 7x7 to 13x13 cells as mask score does, "
     "from the mask alone and from other crops of the pictures that are measured, measure it on "
     "the stair of the thesis (natural texture, not regularised), and report how well the ranks "

@@ -88,9 +88,9 @@ def measure(cell: Cell) -> Row:
     return row
 
 
-def _results(args: Args, rows: list[Row], _: float) -> Row:
+def _results(args: Args, rows: list[Row]) -> Row:
     mask = _mask(args.mask).name
-    return {"benchmark": "motion scenes", "mask": mask, "sigma": args.sigma, "scenes": rows}
+    return {"mask": mask, "sigma": args.sigma, "scenes": rows}
 
 
 def _text(results: Row) -> str:
@@ -131,6 +131,7 @@ def _psnr_text(rows: list[Row], kind: str) -> str:
 
 _WHERE = ("object", "scene")
 SUITE = Suite(
+    name="motion scenes",
     description="Error of depth on an object that moves by up to 12 px during the exposure, and "
     "on the scene behind it, farther than half a window from the edge between them, with defocus "
     "alone and with motion as a hypothesis; and the peak signal-to-noise ratio of all-in-focus "

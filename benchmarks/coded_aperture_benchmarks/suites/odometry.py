@@ -152,13 +152,10 @@ def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[FloatArray, ...]]:
     deblurrer.close()
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows]
     return {
-        "benchmark": "odometry",
-        **options.header(args, "length", "step", "noise", "mask"),
         "videos": [str(folder) for folder in args.folders],
-        "seconds": seconds,
         "rows": rows,
         "pooled": [
             {
@@ -223,6 +220,8 @@ def _drawn(depth_m: FloatArray, range_m: tuple[float, float]) -> NDArray[np.uint
 
 
 SUITE = Suite(
+    name="odometry",
+    said=("length", "step", "noise", "mask"),
     description="Walk with a coded camera through random furnished rooms, and give depth and "
     "all-in-focus frames to the RGB-D odometry of Open3D, beside the same odometry with true "
     "depth. Rays are traced through every opening of the mask. The odometry compares each frame "

@@ -134,11 +134,6 @@ def _score(estimate: DepthEstimate, picture: Picture) -> Row:
     return {**rounded, "fits": estimate.health is None or estimate.health.fits}
 
 
-def _results(args: options.Args, measured: list[list[Row]], seconds: float) -> Row:
-    rows = list(itertools.chain(*measured))
-    return {"benchmark": "pictures", "seconds": seconds, "cells": rows}
-
-
 def _summaries(rows: list[Row]) -> Iterator[Row]:
     """Yield a row for each mask: means, and the worst of the frames."""
     for (mask,), some in grouped(rows, "mask").items():
@@ -176,6 +171,7 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="pictures",
     description="Measure depth on pictures of other kinds with measured depth: the motorcycle of "
     "scikit-image, three frames of a video of a living room and one of a Kinect, as cameras with "
     "different masks see them: beyond the focus and before it, with small and with large blur, "
@@ -193,6 +189,5 @@ SUITE = Suite(
     ),
     cells=_cells,
     measure=measure,
-    results=_results,
     text=_text,
 )

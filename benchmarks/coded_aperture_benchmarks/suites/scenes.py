@@ -307,12 +307,9 @@ def _score(
     return score
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     shown = [each.row for each in measured if isinstance(each.cell.scene, FolderScene)]
     return {
-        "benchmark": "scenes",
-        **options.header(args, "noise", "levels", "seed"),
-        "seconds": seconds,
         "cells": [cell.row for cell in measured],
         # Not every random scene: those of a kind together, and the worst of them.
         "shown": shown + _pooled(measured),
@@ -333,6 +330,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="scenes",
+    said=("noise", "levels", "seed"),
     description="Median relative error of the depth of ray-traced or random scenes, coverage, the "
     "field's dense errors, depth edges, thin structures, and how often the depth is right to 5 % "
     "where the confidence says so. The bank is learned from the camera, for the scene's range of "

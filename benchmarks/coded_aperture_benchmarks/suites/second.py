@@ -195,13 +195,10 @@ def _pooled(rows: Iterable[Row]) -> Row:
     }
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [each.row for each in measured]
     return {
-        "benchmark": "second",
-        **options.header(args, "masks", "frames"),
         "folders": [str(folder) for folder in args.folders],
-        "seconds": seconds,
         "rows": rows,
         "by_kind": [
             {"of": kind, **_pooled(group)} for (kind,), group in grouped(rows, "kind").items()
@@ -249,6 +246,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="second",
+    said=("masks", "frames"),
     description="Two surfaces in one window (depth --second-surface): random rooms behind nets, "
     "leaves and panes, and rooms by themselves, none of which anything was set by; behind three "
     "masks and with three noises. Or ray-traced scenes. In how many windows both are told, and how "

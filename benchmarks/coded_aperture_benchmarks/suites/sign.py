@@ -136,13 +136,8 @@ def _scene(cell: Cell, folder: Path, mask: Mask) -> tuple[SideFrame, Camera, flo
     return frame, camera, near_m * (1 - RANGE_MARGIN), far_m * (1 + RANGE_MARGIN)
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
-    return {
-        "benchmark": "sign",
-        **options.header(args, "levels", "seed"),
-        "seconds": seconds,
-        "cells": [each.row for each in measured],
-    }
+def _results(args: options.Args, measured: list[Measured]) -> Row:
+    return {"cells": [each.row for each in measured]}
 
 
 def _text(results: Row) -> str:
@@ -177,6 +172,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="sign",
+    said=("levels", "seed"),
     description="Measure how often the side of the focal plane is right, on simulated planes of "
     "320x240 px with photographs as texture, blurred by -20 to 20 px, or on scenes that are "
     "focused in their middle; and the error of the signed levels beside that of an oracle: one "

@@ -91,8 +91,8 @@ def measure(step: Callable[[], Any]) -> Any:
     return step()
 
 
-def _results(_: options.Args, found: list[Any], seconds: float) -> Row:
-    return {"benchmark": "speed", **found[-1], "seconds": seconds}
+def _results(_: options.Args, found: list[Any]) -> Row:
+    return {**found[-1]}
 
 
 def _text(results: Row) -> str:
@@ -300,6 +300,7 @@ def _frames_kept(text: str) -> float:
 _frames_kept.__name__ = "float"  # argparse says "invalid float value"
 
 SUITE = Suite(
+    name="speed",
     description="Time of the stages of depth estimation on a simulated moving scene seen through "
     "levin's mask; the share of the machine's own speed that they attain; how the time grows with "
     "the size, the levels and the threads; and what other methods take.",

@@ -243,15 +243,13 @@ def _bank(lens: Lens) -> CameraBank | StackBank:
     return StackBank(render_psf_stack(camera.mask, sizes_px), LearnConfig(_WINDOW_PX))
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows]
     by_given = [
         {"electrons": electrons, "given": given, **pooled(group)}
         for (electrons, given), group in grouped(rows, "electrons", "given").items()
     ]
     return {
-        "benchmark": "tags",
-        **options.header(args, "module", "scenes", "mask", "srgb", "focus", "aperture"),
         "cards": len(rows) // len(grouped(rows, "electrons", "given")),
         "part_edges_m": [round(edge, 3) for edge in part_edges_m()],
         "blur_at_ends_px": {
@@ -259,7 +257,6 @@ def _results(args: argparse.Namespace, measured: list[Measured], seconds: float)
             for name, stop in zip(ORDINARY, STOPS, strict=True)
         },
         "same_depth_of_field": _same_depth_of_field(args),
-        "seconds": seconds,
         "blur_errors": list(blur_errors(rows)),
         "rows": by_given,
         "goal": [
@@ -294,7 +291,7 @@ def _draw(args: options.Args, measured: list[Measured], folder: Path) -> None:
             ]
             picture = of_width(side_by_side(parts), _WIDTH_PX)
             write_image(folder / f"codes_{each.cell.electrons}.jpg", picture)
-    results = _results(args, measured, 0.0)
+    results = _results(args, measured)
     panels = {
         f"{electrons} electrons": {
             TITLES[row["given"]]: [np.nan if share is None else share for share in row["parts"]]
@@ -324,6 +321,8 @@ def _outlined(frame: FloatArray, cards: Sequence[Card], cell: Cell) -> NDArray[n
 
 
 SUITE = Suite(
+    name="tags",
+    said=("module", "scenes", "mask", "srgb", "focus", "aperture"),
     description="Read AprilTags (36h11, by OpenCV) and QR codes (by zxing-cpp) on cards at random "
     "distances, by a coded camera before and after deblurring, and by an ordinary lens that is in "
     "focus in the middle and lets pass as much light as the mask, or less. The exposure is the "

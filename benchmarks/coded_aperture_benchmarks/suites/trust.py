@@ -184,7 +184,7 @@ def _bank(stack: PsfStack) -> StackBank:
     return StackBank(stack, LearnConfig(window_px=_WINDOW_PX))
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows]
     misfits = [row for row in rows if row["kind"] in MISFITS]
     traced = [row for row in misfits if row["traced"]]
@@ -197,9 +197,6 @@ def _results(args: options.Args, measured: list[Measured], seconds: float) -> Ro
         ]
     )
     return {
-        "benchmark": "trust",
-        **options.header(args, "seed"),
-        "seconds": seconds,
         "cells": len(traced),
         "wrong": mean_of([row["wrong"] for row in traced] or [0], 4),
         "wrong_without_trace": mean_of(
@@ -237,6 +234,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="trust",
+    said=("seed",),
     description="Measure what is made of frames that do not fit their bank: kinds of misfit in "
     f"{len(_STRENGTHS)} strengths, of rendered scenes and of a photograph of a flat page, whose "
     "truth is the blur size that most of it has where it fits. For each the median error of what "

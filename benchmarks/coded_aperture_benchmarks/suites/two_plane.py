@@ -105,12 +105,10 @@ def measure(cell: Cell) -> Measured:
     return Measured(row, np.mean(profiles, axis=0), truth.level[0])
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     return {
-        "benchmark": "two-plane",
-        **options.header(args, "texture", "images", rows=args.size[0], columns=args.size[1]),
-        **options.header(args, "levels", "window", "repeats", "seed", "known_noise"),
-        "seconds": seconds,
+        "rows": args.size[0],
+        "columns": args.size[1],
         "cells": compared_with_plain([cell.row for cell in measured]),
     }
 
@@ -149,6 +147,8 @@ def _pair(text: str) -> tuple[float, float]:
 _pair.__name__ = "pair of sizes"  # argparse says "invalid pair of sizes value"
 
 SUITE = Suite(
+    name="two-plane",
+    said=("texture", "images", "levels", "window", "repeats", "seed", "known_noise"),
     description="Mean error, in levels, of the blur that is identified on two textured planes "
     "with a straight edge between, rendered with exact occlusion: over all pixels, within 16 px "
     "of the edge, and beyond. The truth is what a pinhole sees. A bank with a plain window of "

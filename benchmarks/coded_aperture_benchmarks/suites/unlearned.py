@@ -196,12 +196,9 @@ def _error(size_px: FloatArray, truth: FloatArray) -> FloatArray:
     return np.asarray(np.abs(np.abs(size_px) - truth) / left_px)
 
 
-def _results(args: argparse.Namespace, measured: list[list[Row]], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[list[Row]]) -> Row:
     rows = list(itertools.chain(*measured))
     return {
-        "benchmark": "unlearned",
-        **options.header(args, "masks", "scenes"),
-        "seconds": seconds,
         "rows": rows,
         "kinds": [
             {
@@ -228,6 +225,8 @@ def _text(results: Row) -> str:
 
 
 SUITE = Suite(
+    name="unlearned",
+    said=("masks", "scenes"),
     description="Count how often depth is published that is wrong, with and without the check of "
     "fit, of random scenes that nothing was learned from, changed in kinds that the check of fit "
     "has not learned either and that trust does not have. What is wrong is what it is there.",

@@ -202,15 +202,9 @@ def _rounded(score: Any) -> Row | None:
     }
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     rows = [cell.row for cell in measured]
-    return {
-        "benchmark": "video",
-        **options.header(args, "noise", "mono", "levels", "seed"),
-        "seconds": seconds,
-        "cells": rows,
-        "ratios_to_raw": ratios(rows),
-    }
+    return {"cells": rows, "ratios_to_raw": ratios(rows)}
 
 
 def ratios(rows: Sequence[Row]) -> list[Row]:
@@ -328,6 +322,8 @@ def _past_frames(text: str) -> float:
 
 
 SUITE = Suite(
+    name="video",
+    said=("noise", "mono", "levels", "seed"),
     description="Relative error of the depth of videos, how much the depth flickers, and how "
     "far moving objects smear: every frame for itself, and filtered over time. The first 5 "
     "frames do not count. The bank is learned from the camera, for the video's range of depths.",

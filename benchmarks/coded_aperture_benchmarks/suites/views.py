@@ -213,16 +213,12 @@ def _opposite(places: Sequence[tuple[float, float]]) -> tuple[tuple[float, float
     return first, max(places, key=lambda place: np.hypot(*np.subtract(place, first)))
 
 
-def _results(args: argparse.Namespace, measured: list[Measured], seconds: float) -> Row:
+def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.views]
     focuses = [row for each in measured for row in each.focuses]
     by_given = grouped(rows, "given")
     return {
-        "benchmark": "views",
-        **options.header(
-            args, "scenes", "first_scene", "noise", "mask", "size", side_of_focus=args.side
-        ),
-        "seconds": seconds,
+        "side_of_focus": args.side,
         "goal_db": GOAL_DB,
         "rows": rows,
         "pooled": [
@@ -310,6 +306,8 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
 
 
 SUITE = Suite(
+    name="views",
+    said=("scenes", "first_scene", "noise", "mask", "size"),
     description="Look at random layered scenes through each opening of the mask, by one coded "
     "frame: its all-in-focus frame, moved by the blur sizes that were found. The truth is traced "
     "through that one point of the aperture. Beside it: the same from the true sharp frame, with "

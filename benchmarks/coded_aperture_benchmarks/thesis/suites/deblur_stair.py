@@ -214,13 +214,10 @@ def _shown_steps(picture: Picture, levels: int) -> Picture:
     return steps[np.unique([round(share * (levels - 1)) for share in _SHOWN_STEPS])]
 
 
-def _results(args: options.Args, measured: list[Measured], seconds: float) -> Row:
+def _results(args: options.Args, measured: list[Measured]) -> Row:
     rows = [row for cell in measured for row in cell.rows]
     return {
-        "benchmark": "deblur stair",
-        **options.header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
         "known_noise": args.known_noise,
-        "seconds": seconds,
         "cells": rows,
         "references_ahead": deblurring.ahead(
             rows, ("texture", "mask", "sigma", "depth"), lambda row: row["error"]
@@ -297,6 +294,8 @@ def _columns(cell: Measured, depth: str) -> Iterator[tuple[str, list[NDArray[np.
 
 
 SUITE = Suite(
+    name="deblur stair",
+    said=("textures", "images", "levels", "side", "window", "repeats", "seed"),
     description="Error sqrt(|f - f*|^2 + |grad f - grad f*|^2), root mean square, of the sharp "
     "picture that is made of a column of crops, each blurred with the next of 39 sizes from 7 to "
     "30 px (M. Martinello, Coded Aperture Imaging, PhD thesis, 2012, tables 6.5 to 6.8), by the "

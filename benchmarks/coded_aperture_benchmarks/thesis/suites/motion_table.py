@@ -59,10 +59,6 @@ def measure(cell: Cell) -> Row:
     }
 
 
-def _results(_: options.Args, rows: list[Row], seconds: float) -> Row:
-    return {"benchmark": "motion table", "cells": rows}
-
-
 def _text(results: Row) -> str:
     described = {
         "mask": "{mask} {pattern}",
@@ -86,6 +82,7 @@ def _found_text(found: Row) -> str:
 
 
 SUITE = Suite(
+    name="motion table",
     description="Mean error and accuracy of defocus, direction and length of motion on 640 "
     "images of 70x70 px: 10 blur sizes, 8 directions, 8 lengths (M. Martinello, Coded Aperture "
     "Imaging, PhD thesis, 2012, table 7.1), with a disc, and with the masks A, B and C that the "
@@ -120,6 +117,5 @@ SUITE = Suite(
     ),
     cells=_cells,
     measure=measure,
-    results=_results,
     text=_text,
 )

@@ -106,15 +106,8 @@ def _thesis_error(cell: Cell) -> float | None:
     return TABLE_5_1.get(method, {}).get(setting.mask)
 
 
-def _results(args: options.Args, rows: list[Row], seconds: float) -> Row:
-    return {
-        "benchmark": "simple",
-        **options.header(
-            args, "images", "levels", "side", "window", "repeats", "seed", "known_noise"
-        ),
-        "seconds": seconds,
-        "cells": compared_with_bank(rows),
-    }
+def _results(args: options.Args, rows: list[Row]) -> Row:
+    return {"cells": compared_with_bank(rows)}
 
 
 def compared_with_bank(rows: Sequence[Row]) -> list[Row]:
@@ -164,6 +157,8 @@ def _cell_text(row: Row) -> str:
 
 
 SUITE = Suite(
+    name="simple",
+    said=("images", "levels", "side", "window", "repeats", "seed", "known_noise"),
     description="Mean error, in levels, of the blur that is identified on textured planes, one "
     "in every frame, at 33 blur sizes from 7 to 30 px (M. Martinello, Coded Aperture Imaging, "
     "PhD thesis, 2012, table 5.1), by the method for simple masks, its data term as the thesis "

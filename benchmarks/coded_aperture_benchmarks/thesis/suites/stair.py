@@ -142,14 +142,11 @@ def _row_of_thesis(method: str) -> str:
     )
 
 
-def _results(args: options.Args, parts: list[list[Measured]], seconds: float) -> Row:
+def _results(args: options.Args, parts: list[list[Measured]]) -> Row:
     measured = list(itertools.chain(*parts))
     rows = [part.row for part in measured]
     return {
-        "benchmark": "stair",
-        **options.header(args, "textures", "images", "levels", "side", "window", "repeats", "seed"),
         "known_noise": args.known_noise,
-        "seconds": seconds,
         "cells": rows,
         "bank_is_beaten": lost_cells(rows),
         "reliability": [
@@ -268,6 +265,8 @@ def _draw(args: options.Args, parts: list[list[Measured]], folder: Path) -> None
 
 
 SUITE = Suite(
+    name="stair",
+    said=("textures", "images", "levels", "side", "window", "repeats", "seed"),
     description="Mean error, in levels, of the blur that is identified on a column of crops, "
     "each blurred with the next of 39 sizes from 7 to 30 px (M. Martinello, Coded Aperture "
     "Imaging, PhD thesis, 2012, section 6.3.1). All pixels count, those at the boundaries of "

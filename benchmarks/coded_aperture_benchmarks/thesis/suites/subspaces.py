@@ -39,7 +39,7 @@ def measure(cell: Cell) -> SubspaceDistances:
     return subspace_distances(load_mask(cell.mask), sizes)
 
 
-def _results(args: options.Args, measured: list[SubspaceDistances], _: float) -> Row:
+def _results(args: options.Args, measured: list[SubspaceDistances]) -> Row:
     rows = [
         {
             "mask": mask,
@@ -50,7 +50,7 @@ def _results(args: options.Args, measured: list[SubspaceDistances], _: float) ->
         }
         for mask, found in zip(args.masks, measured, strict=True)
     ]
-    return {"benchmark": "subspaces", **options.header(args, "levels"), "masks": rows}
+    return {"masks": rows}
 
 
 def _text(results: Row) -> str:
@@ -72,6 +72,8 @@ def _draw(args: options.Args, measured: list[SubspaceDistances], folder: Path) -
 
 
 SUITE = Suite(
+    name="subspaces",
+    said=("levels",),
     description="Compare the subspaces that patches of natural texture lie in after each blur (M. "
     "Martinello, Coded Aperture Imaging, PhD thesis, 2012, sections 9.1 and 9.2): the L1 fit of "
     "their distances to the ideal, in which all are orthogonal. Less is better.",
