@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.figures import PANEL_INCHES, PathLike, new_figure, save_figure
 
-# As in thesis figure 6.4.
-_DEVIATIONS = 3.0
 _UNKNOWN = "0.8"
 
 
@@ -20,75 +18,6 @@ def new_panels(down: int, across: int, width: float = 1.1) -> tuple[Any, Any]:
     """Return a figure, and its axes [down, across]."""
     figure = new_figure(width * PANEL_INCHES * across, PANEL_INCHES * down)
     return figure, figure.subplots(down, across, squeeze=False)
-
-
-def stair_spread(rows: Sequence[Mapping[str, Any]], path: PathLike) -> None:
-    """Draw estimated against true level, mean and three standard deviations (thesis figure 6.4).
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        One for each mask, noise and method: `mask`, `sigma`, `method`, `mean_of_step` and
-        `deviation_of_step`. A panel for each mask (down) and noise (across).
-    """
-    masks = list(dict.fromkeys(row["mask"] for row in rows))
-    sigmas = list(dict.fromkeys(row["sigma"] for row in rows))
-    figure, panels = new_panels(len(masks), len(sigmas))
-    for mask, line in zip(masks, panels, strict=True):
-        for sigma, axes in zip(sigmas, line, strict=True):
-            here = [row for row in rows if (row["mask"], row["sigma"]) == (mask, sigma)]
-            levels = np.arange(len(here[0]["mean_of_step"]))
-            axes.plot(levels, levels, "k--", linewidth=0.8)
-            for index, row in enumerate(here):
-                axes.errorbar(
-                    levels + 0.25 * index,  # so that bars do not hide each other
-                    row["mean_of_step"],
-                    _DEVIATIONS * np.asarray(row["deviation_of_step"]),
-                    label=row["method"],
-                    linewidth=1,
-                    elinewidth=0.6,
-                )
-            axes.set_title(f"{mask}, sigma {sigma:g}", fontsize=9)
-            axes.set_ylim(-2, len(levels) + 1)
-            axes.set_xlabel("true level", fontsize=8)
-            axes.set_ylabel("estimated level", fontsize=8)
-    panels[0][0].legend(fontsize=7, loc="lower right")
-    save_figure(figure, path)
-
-
-def stair_maps(maps: Mapping[str, NDArray[np.floating]], levels: int, path: PathLike) -> None:
-    """Draw true and estimated maps of a stair side by side, squeezed (thesis figures 6.2, 6.3).
-
-    Parameters
-    ----------
-    maps : mapping of str to ndarray of float, shape [rows, columns]
-        Estimated levels; NaN is grey.
-    levels : int
-        Number of steps.
-    """
-    figure = new_figure(0.9 * (len(maps) + 2), 2 * PANEL_INCHES)
-    true_map = np.arange(levels, dtype=np.float64)[:, None]
-    shown = {"true": true_map, **maps}
-    # Small blur sizes, near the camera, at the bottom.
-    drawn = None
-    for axes, (title, values) in zip(
-        figure.subplots(1, len(shown), squeeze=False)[0], shown.items(), strict=True
-    ):
-        axes.set_facecolor(_UNKNOWN)
-        drawn = axes.imshow(
-            values,
-            aspect="auto",
-            origin="lower",
-            cmap="turbo",
-            vmin=0,
-            vmax=levels - 1,
-            interpolation="nearest",
-        )
-        axes.set_xticks([])
-        axes.set_yticks([])
-        axes.set_title(title, fontsize=7)
-    figure.colorbar(drawn, ax=figure.axes, label="level", fraction=0.03)
-    save_figure(figure, path)
 
 
 def signed_blur_maps(maps: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
@@ -148,74 +77,6 @@ def edge_profiles(
     save_figure(figure, path)
 
 
-def speed(results: Mapping[str, Any], path: PathLike) -> None:
-    """Draw the times of `SpeedBenchmark.results`: stages, sizes, levels and threads."""
-    figure, ((stages, sizes), (levels, threads)) = new_panels(2, 2, width=1.8)
-    _draw_stages(stages, results["main"])
-    _draw_sizes(sizes, results["sizes"])
-    rows = results["levels"]["rows"]
-    count = [row["levels"] for row in rows]
-    levels.plot(count, [row["total"]["p50_ms"] for row in rows], "o-", label="frame, p50")
-    levels.plot(count, [row["total"]["p99_ms"] for row in rows], "^:", label="frame, p99")
-    levels.plot(count, [row["level_stages_p50_ms"] for row in rows], "s-", label="of levels, p50")
-    levels.set_title(f"time ~ levels^{results['levels']['exponent']:.2f}", fontsize=9)
-    levels.set_xlabel("levels", fontsize=8)
-    levels.set_ylabel("ms", fontsize=8)
-    levels.set_ylim(0)
-    levels.set_xlim(0)
-    levels.legend(fontsize=7)
-    rows = results["threads"]["rows"]
-    count = [row["threads"] for row in rows]
-    threads.plot(count, count, "k--", linewidth=0.8, label="ideal")
-    threads.plot(count, [row["speedup"]["p50"] for row in rows], "o-", label="frame")
-    threads.plot(count, [row["speedup_engine"]["p50"] for row in rows], "s-", label="engine")
-    threads.set_title("speed-up over one thread, p50", fontsize=9)
-    threads.set_xlabel("threads", fontsize=8)
-    threads.set_xticks(count)
-    threads.set_ylim(0)
-    threads.legend(fontsize=7)
-    save_figure(figure, path)
-
-
-def _draw_stages(axes: Any, main: Mapping[str, Any]) -> None:
-    stages = main["stages"]
-    p50 = np.array([times["p50_ms"] for times in stages.values()])
-    beyond = np.array([times["p99_ms"] for times in stages.values()]) - p50
-    # A bar ends at the median, its whisker at the 99th percentile.
-    axes.barh(list(stages), p50, xerr=[np.zeros_like(p50), beyond], capsize=2, ecolor="0.4")
-    axes.invert_yaxis()
-    total = main["total"]
-    rows, columns = main["size"]
-    axes.set_title(
-        f"{columns}x{rows}: p50 {total['p50_ms']:.0f}, p99 {total['p99_ms']:.0f} ms", fontsize=9
-    )
-    axes.set_xlabel("ms, p50 and p99", fontsize=8)
-    axes.tick_params(axis="y", labelsize=8)
-
-
-def _draw_sizes(axes: Any, sizes: Mapping[str, Any]) -> None:
-    rows = sizes["rows"]
-    pixels = np.array([row["size"][0] * row["size"][1] for row in rows], float)
-    p50 = np.array([row["total"]["p50_ms"] for row in rows])
-    # Through the middle of the points, as the fit goes.
-    at_one = np.exp(np.log(p50).mean() - sizes["slope"] * np.log(pixels).mean())
-    label = f"slope {sizes['slope']:.2f}"
-    axes.loglog(pixels, at_one * pixels ** sizes["slope"], "k--", linewidth=0.8, label=label)
-    axes.loglog(pixels, p50, "o", label="frame, p50")
-    axes.loglog(pixels, [row["total"]["p99_ms"] for row in rows], "^", label="frame, p99")
-    axes.loglog(pixels, [row["engine_p50_ms"] for row in rows], "s", label="engine, p50")
-    axes.set_title("time over size", fontsize=9)
-    axes.minorticks_off()
-    powers = np.outer(10.0 ** np.arange(-1, 6), (1, 2, 5)).ravel()
-    lowest, highest = axes.get_ylim()
-    ticks = powers[(powers >= lowest) & (powers <= highest)]
-    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.set_xticks(pixels, [f"{row['size'][1]}x{row['size'][0]}" for row in rows])
-    axes.tick_params(axis="x", labelsize=7)
-    axes.set_ylabel("ms", fontsize=8)
-    axes.legend(fontsize=7)
-
-
 def seen_from_above(ways: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
     """Draw ways [n, 4, 4] from one place, x to the right and z upwards; the first one dashed."""
     figure = new_figure(6, 5)
@@ -255,20 +116,4 @@ def shares_over_distance(
         axes.set_xlabel("distance, m", fontsize=8)
     line[0].set_ylabel("read, %", fontsize=8)
     figure.legend(*line[0].get_legend_handles_labels(), fontsize=7, loc="outside right")
-    save_figure(figure, path)
-
-
-def distance_matrices(matrices: Mapping[str, NDArray[np.floating]], path: PathLike) -> None:
-    """Draw distances between the subspaces of levels (thesis figure 9.5); bright is far.
-
-    `matrices` has titles, and distances [L, L] as shares of the largest possible, 0 to 1.
-    """
-    columns = min(len(matrices), 5)
-    rows = -(-len(matrices) // columns)
-    figure, panels = new_panels(rows, columns)
-    for axes in panels.flat:
-        axes.set_axis_off()
-    for axes, (title, matrix) in zip(panels.flat, matrices.items(), strict=False):
-        axes.imshow(matrix, cmap="gray", vmin=0, vmax=1)
-        axes.set_title(title, fontsize="small")
     save_figure(figure, path)

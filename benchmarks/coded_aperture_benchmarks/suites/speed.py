@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_benchmarks import figures, options
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.run import RESULTS, Row, Suite
 from coded_aperture_benchmarks.speed import (
     Extent,
@@ -14,13 +14,14 @@ from coded_aperture_benchmarks.speed import (
     has_test_pictures,
     thread_counts,
 )
+from coded_aperture_benchmarks.speed.figures import draw_speed
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns, table
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood import BACKENDS
 
 _FIGURE = "speed.png"
-# What `learn --budget-ms` chooses for these blur sizes and 60 frames per second.
+# A bank for real time at these blur sizes.
 _LEVELS, _WINDOW, _RANK, _STRIDE, _HIGHEST_FREQUENCY = 30, 64, 64, 24, 0.4
 _FRAMES, _QUICK_FRAMES = 20, 6
 # Rows and columns.
@@ -287,7 +288,7 @@ def _size(size: Sequence[int]) -> str:
 
 
 def _draw(_: options.Args, found: list[Any], folder: Path) -> None:
-    figures.speed(found[-1], folder / _FIGURE)
+    draw_speed(found[-1], folder / _FIGURE)
 
 
 def _frames_kept(text: str) -> float:
@@ -314,13 +315,11 @@ SUITE = Suite(
     coded_aperture bench speed --rank 128 --stride 8 --highest-frequency 1
 
 the defaults are made for real time:
-  A window of {_WINDOW} px, rank {_RANK} and a patch every {_STRIDE} px are about what
-  `coded_aperture learn --budget-ms 33 --budget-threads 2` chose for frames of
-  640x480 and maps of half the size (every 21 px), and so are frequencies up to
-  {_HIGHEST_FREQUENCY:g} cycles/px where no blur is smaller than 7 px. The line "accuracy" says
-  what that costs: the mean error on the thesis' stair of 39 blur sizes (natural
-  textures, noise 0.001, not regularised), over that of all filters and frequencies
-  every 4 px.
+  A window of {_WINDOW} px, rank {_RANK}, a patch every {_STRIDE} px and frequencies up to
+  {_HIGHEST_FREQUENCY:g} cycles/px suit frames of 640x480 and maps of half the size, where no
+  blur is smaller than 7 px. The line "accuracy" says what that costs: the mean error on
+  the thesis' stair of 39 blur sizes (natural textures, noise 0.001, not regularised),
+  over that of all filters and frequencies every 4 px.
 
 p50 is the median, p99 the 99th percentile: of less than 100 frames, nearly the worst
 --output writes {RESULTS} and {_FIGURE}

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import figures, options
+from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.methods import identification
 from coded_aperture_benchmarks.rows import grouped, mean_of, place, tables, unique
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis import figures
 from coded_aperture_benchmarks.thesis.stair import (
     LEVELS,
     SIDE_PX,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
-from coded_aperture_benchmarks.figures import distance_matrices
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_benchmarks.thesis.figures import distance_matrices
 from coded_aperture_benchmarks.thesis.reference.subspace_distances import (
     LETTER_OF_MASK,
     THESIS_L1,
