@@ -9,7 +9,8 @@ import pytest
 from cli_scene import call_benchmarks, json_of_benchmarks
 from coded_aperture_benchmarks.datasets.tag_cards import QR, TAG, Card, card_scene, modules_of
 from coded_aperture_benchmarks.metrics.codes import Code, CodeReader, code_of, distance_error
-from coded_aperture_benchmarks.suites import tags, tags_tables
+from coded_aperture_benchmarks.suites import tags
+from coded_aperture_benchmarks.suites.tags_tables import MIDDLE, part_edges_m, part_of, range_of
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image
@@ -120,18 +121,18 @@ def test_the_ordinary_lens_lets_as_much_light_pass(mask):
         ends = ordinary.blur_size_px([0.5, 4.0])
         assert ends[0] == pytest.approx(-ends[1])  # in focus in the middle
     assert coded.blur_size_px([0.5, 4.0]) == pytest.approx([2, 16])
-    wide = tags.Lens(mask, tags_tables.MIDDLE, 2.0).coded()
+    wide = tags.Lens(mask, MIDDLE, 2.0).coded()
     assert wide.blur_size_px([0.5, 4.0]) == pytest.approx([-14, 14])
     assert ordinary.mask.open_fraction == Mask.named("disc").open_fraction
 
 
 def test_the_range_is_the_longest_run_of_parts():
-    assert tags_tables.range_of([1.0, 0.5, 0.4, 1.0, 1.0]) == (0, 2)  # the nearer one of two
-    assert tags_tables.range_of([1.0, 0.4, 0.5, 0.6, 1.0]) == (2, 5)
-    assert tags_tables.range_of([0.0, 0.2, 0.1, 0.0, 0.49]) == (0, 0)
-    assert tags_tables.range_of([1.0, None, 1.0, 1.0, 1.0]) == (2, 5)
-    assert tags_tables.part_edges_m() == pytest.approx([0.5, 0.606, 0.769, 1.053, 1.667, 4.0], abs=1e-3)
-    assert [tags_tables.part_of(distance) for distance in (0.5, 0.6, 1.0, 1.7, 4.0)] == [0, 0, 2, 4, 4]
+    assert range_of([1.0, 0.5, 0.4, 1.0, 1.0]) == (0, 2)  # the nearer one of two
+    assert range_of([1.0, 0.4, 0.5, 0.6, 1.0]) == (2, 5)
+    assert range_of([0.0, 0.2, 0.1, 0.0, 0.49]) == (0, 0)
+    assert range_of([1.0, None, 1.0, 1.0, 1.0]) == (2, 5)
+    assert part_edges_m() == pytest.approx([0.5, 0.606, 0.769, 1.053, 1.667, 4.0], abs=1e-3)
+    assert [part_of(distance) for distance in (0.5, 0.6, 1.0, 1.7, 4.0)] == [0, 0, 2, 4, 4]
 
 
 def test_codes_are_read_from_every_frame(capsys, reader, tmp_path):

@@ -152,7 +152,7 @@ def imports_of_the_command_line(source: str) -> list[str]:
     return found
 
 
-@pytest.mark.parametrize("beside", ["benchmarks", "training", "scripts"])
+@pytest.mark.parametrize("beside", ["benchmarks", "training", "scripts", "viewer"])
 def test_nothing_outside_imports_the_command_line(checkout, beside):
     paths = sorted((checkout / beside).rglob("*.py"))
     assert paths != []
