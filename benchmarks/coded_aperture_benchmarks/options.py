@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_benchmarks.arguments import at_least, noise_level
 from coded_aperture_benchmarks.run import RESULTS as RESULTS_FILE
-from coded_aperture_ros.core.arguments import at_least, noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.optics import load_mask

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.arguments import noise_level
 from coded_aperture_benchmarks.datasets.blind_planes import (
     deblurring_loss,
     make_blind_planes,
@@ -16,7 +17,6 @@ from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.blind import find
 from coded_aperture_ros.calibration.pictures import blind_picture
-from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.text import columns

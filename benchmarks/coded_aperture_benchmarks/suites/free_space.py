@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.arguments import noise_level
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.datasets.room import random_room, walk
@@ -15,7 +16,6 @@ from coded_aperture_benchmarks.metrics.relative import PUBLISHED
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig

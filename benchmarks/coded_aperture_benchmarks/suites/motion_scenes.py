@@ -3,11 +3,11 @@
 import dataclasses
 from functools import lru_cache
 
+from coded_aperture_benchmarks.arguments import noise_level
 from coded_aperture_benchmarks.datasets import moving_scenes as frames
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, number, option
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.motion_images import table_masks
-from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.arguments import noise_level
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.methods.depth import CameraBank, bank_with_refinement, predict
 from coded_aperture_benchmarks.metrics.surfaces import Windows, at_middles, shares, surfaces
 from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.arguments import noise_level
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import columns

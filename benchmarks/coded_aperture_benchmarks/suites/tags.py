@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.arguments import at_least, between
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
 from coded_aperture_benchmarks.datasets.tag_cards import (
     CARDS_M,
@@ -46,7 +47,6 @@ from coded_aperture_benchmarks.suites.tags_tables import (
     pooled,
     text_of,
 )
-from coded_aperture_ros.core.arguments import at_least, between
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import figures, options
+from coded_aperture_benchmarks.arguments import at_least
 from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.datasets.two_plane import make_two_planes, two_plane_error
 from coded_aperture_benchmarks.methods import identification
 from coded_aperture_benchmarks.rows import mean_of, place
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.stair import with_middle
-from coded_aperture_ros.core.arguments import at_least
 from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.optics import load_mask
 
