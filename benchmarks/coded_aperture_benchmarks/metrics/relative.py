@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.run import Row
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 
 # Depth of this confidence is published.
@@ -12,6 +12,10 @@ PUBLISHED = DepthConfig().confidence_threshold
 # Up to these relative errors depth is right, and exact.
 RIGHT = 0.1
 EXACT = 0.05
+# What is published is wrong: a median error above this, at a coverage above that.
+WRONG = 0.1
+COVERED = 0.2
+_FEWEST = 50
 
 
 def relative_error(estimate: DepthEstimate, true_m: NDArray[np.floating]) -> FloatArray:
@@ -39,4 +43,19 @@ def published_shares(error: FloatArray, confidence: FloatArray) -> Row:
         "right_of_published": of_published(right),
         "exact_of_published": of_published(exact),
         "said": of_published(confidence),
+    }
+
+
+def published(error: FloatArray, confidence: FloatArray, known: BoolArray) -> Row:
+    """Return the median relative error (None: too few pixels), the coverage, and if it is wrong.
+
+    Of the pixels whose truth is `known`; maps are of one shape.
+    """
+    sure = known & (confidence >= PUBLISHED)
+    median = float(np.median(error[sure])) if sure.sum() > _FEWEST else None
+    coverage = float(sure.sum() / max(known.sum(), 1))
+    return {
+        "error": None if median is None else round(median, 4),
+        "coverage": round(coverage, 4),
+        "wrong": bool(median is not None and median > WRONG and coverage > COVERED),
     }

@@ -14,8 +14,7 @@ from coded_aperture_benchmarks.datasets.fitting_frames import FITTING_LIGHT
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, scene_camera, scene_meta
 from coded_aperture_benchmarks.datasets.video import load_video
 from coded_aperture_benchmarks.methods.depth import CameraBank, predictor
-from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
-from coded_aperture_benchmarks.metrics.relative import relative_error
+from coded_aperture_benchmarks.metrics.relative import COVERED, WRONG, published, relative_error
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray

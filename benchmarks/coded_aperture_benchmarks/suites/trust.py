@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.datasets.fitting_frames import (
 from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.methods.depth import RANGE_MARGIN, StackBank, predict
-from coded_aperture_benchmarks.metrics.published import COVERED, WRONG, published
+from coded_aperture_benchmarks.metrics.relative import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.deblur_photograph import photograph

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.methods.depth import StackBank, predictor
-from coded_aperture_benchmarks.metrics.published import published
+from coded_aperture_benchmarks.metrics.relative import published
 from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
