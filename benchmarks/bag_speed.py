@@ -25,8 +25,8 @@ from coded_aperture_ros.bags.codec import (
     CAMERA_INFO,
     IMAGE,
     camera_info_data,
+    camera_info_message,
     image_data,
-    info_of,
     new_topic,
 )
 from coded_aperture_ros.core.workers import processors
@@ -126,7 +126,7 @@ def write_bank(video: CodedVideo, args: argparse.Namespace, path: Path) -> None:
 
 def write_bag(video: CodedVideo, path: Path, storage: str, encoding: str, noise: float) -> None:
     """Write a bag with coded frames, camera models and true depth, as RGB-D cameras send it."""
-    info = info_of(video.camera.intrinsics)
+    info = camera_info_message(video.camera.intrinsics)
     random = np.random.default_rng(0)
     with bag_output(path, storage) as writer:
         for topic, type_name in TOPICS.items():

@@ -3,15 +3,16 @@
 The room stands behind the pipeline, because converting a bag needs it, and before `sources`, for
 which a bag is a source of frames like a folder of pictures. Its files, in their order:
 
-- `recorded`, `codec`, `topics`: topics and messages of a bag, and what the messages hold;
+- `contents`, `codec`, `topics`: topics and messages of a bag, and what the messages hold;
 - `complete`, `cut_mcap`, `cut_sqlite`, `opening`, `reading`, `writing`: the files of a bag;
 - `frames`, `messages`: one frame through the pipeline, and the messages of its results;
-- `score`, `record`, `figures`, `page`: what the report says;
-- `workers`, `conversion`, `many`: one bag, or many, by several processes.
+- `score`, `frame_log`, `figures`, `page`: the report;
+- `engine`: work on frames, or on bags, by worker processes;
+- `conversion`, `many`: one bag, and many.
 
-Needs rosbags, and matplotlib for reports; both come with the extra `eval`.
+Needs rosbags and joblib, and matplotlib for reports, which come with the extra `eval`.
 """
 
+from coded_aperture_ros.bags.contents import BagMessage
 from coded_aperture_ros.bags.reading import Bag, is_bag
-from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.bags.writing import bag_output, check_bag_output

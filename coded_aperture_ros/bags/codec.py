@@ -1,4 +1,4 @@
-"""Between the messages of a bag, as they were sent, and arrays."""
+"""Messages of a bag, as they were sent (CDR), to arrays and back."""
 
 import dataclasses
 import sys
@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.recorded import Topic
+from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.frames.decoding import lost_by_compression
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -30,10 +30,19 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Picture:
-    """An image message: pixels [row, column(, RGB)] as stored, and an encoding for such ones.
+    """Image message.
 
-    With `mosaic`, pixels have a colour filter each; the encoding is for pictures made of them.
-    `lost` is what compression has hidden; see `lost_by_compression`.
+    Attributes
+    ----------
+    header : message
+    pixels : ndarray [rows, columns] or [rows, columns, RGB]
+        As stored.
+    encoding : str
+        For images that are made of these pixels.
+    mosaic : str
+        Order of the colour filters, where each pixel has one.
+    lost : float
+        Noise that compression has hidden; see `lost_by_compression`.
     """
 
     header: Any
@@ -44,12 +53,18 @@ class Picture:
 
     @property
     def stamp_ns(self) -> int:
-        """When the picture was taken."""
+        """Time of the exposure, ns."""
         return stamp_ns(self.header)
 
 
 def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
-    """Read a raw or compressed image; a `MessageError`, of kind "message" if it is none at all."""
+    """Picture of a raw or compressed image message.
+
+    Raises
+    ------
+    MessageError
+        Of kind "message" if it is no such message; of other kinds if its image cannot be used.
+    """
     message = _read(data, type_name)
     if type_name == IMAGE:
         encoding, mosaic = (
@@ -63,18 +78,18 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
-    """Read a depth image for `depth_from_pixels`; a `MessageError` ("depth") if it is none."""
+    """Picture for `depth_from_pixels`; a `MessageError` of kind "depth" if it is no depth image."""
     message = _read(data, IMAGE)
     return Picture(message.header, depth_pixels(message), message.encoding)
 
 
 def read_camera_info(data: bytes | memoryview) -> Any:
-    """Read a camera model; `MessageError` of kind "message" if it is none."""
+    """Camera model; a `MessageError` of kind "message" if it is none."""
     return _read(data, CAMERA_INFO)
 
 
 def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
-    """Make an image message of pixels as `check_pixels` wants them."""
+    """Serialised image message of pixels; see `check_pixels` for their type and shape."""
     check_pixels(pixels, encoding)
     height, width = pixels.shape[:2]
     message = _store().types[IMAGE](
@@ -90,7 +105,7 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
 
 
 def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:
-    """Make the camera model of a view resized to (rows, columns); see `scaled_matrices`."""
+    """Serialised camera model of a view resized to (rows, columns); see `scaled_matrices`."""
     k, p = scaled_matrices(info, size[1], size[0])
     resized = dataclasses.replace(
         info,
@@ -106,8 +121,8 @@ def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryvie
     return _store().serialize_cdr(resized, CAMERA_INFO)
 
 
-def info_of(model: Intrinsics) -> Any:
-    """Return a camera model as the message that describes it, with an empty header."""
+def camera_info_message(model: Intrinsics) -> Any:
+    """Message that describes a camera model, with an empty header."""
     kinds = _store().types
     stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
     return kinds[CAMERA_INFO](
@@ -126,14 +141,14 @@ def info_of(model: Intrinsics) -> Any:
 
 
 def new_topic(name: str, type_name: str) -> Topic:
-    """Return a topic of a type of messages that is made here."""
+    """Topic of a type of messages that this module knows."""
     definition, _ = _store().generate_msgdef(type_name, ros_version=2)
     return Topic(name, type_name, definition, _store().hash_rihs01(type_name))
 
 
 @cache
 def _store() -> Any:
-    """Return the types of messages; it takes a fifth of a second until all of them were used."""
+    """Types of messages; until each of them was used once, it takes 0.2 s."""
     from rosbags.typesys import Stores, get_typestore
 
     return get_typestore(Stores.ROS2_JAZZY)

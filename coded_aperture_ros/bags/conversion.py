@@ -12,7 +12,9 @@ from typing import Any
 
 from coded_aperture_ros.bags import frames
 from coded_aperture_ros.bags.codec import IMAGE, new_topic, read_picture
+from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.bags.engine import in_order, workers_starting
+from coded_aperture_ros.bags.frame_log import FrameLog
 from coded_aperture_ros.bags.frames import (
     FrameProcessor,
     FrameRecipe,
@@ -32,16 +34,14 @@ from coded_aperture_ros.bags.messages import (
 )
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.reading import Bag
-from coded_aperture_ros.bags.record import Record
-from coded_aperture_ros.bags.recorded import Topic
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.topics import (
     Outputs,
     camera_info_topic,
+    camera_namespace,
     check_outputs,
     depth_topic,
     image_topic,
-    namespace_of,
 )
 from coded_aperture_ros.bags.writing import BagWriter, bag_output
 from coded_aperture_ros.core.errors import InputError, naming
@@ -169,7 +169,7 @@ class BagConversion:
             if self.reference_topic is not None:
                 reference = depth_topic(bag.topics, self.reference_topic).name
             image = image_topic(bag.topics, self.topic, reference)
-            namespace = namespace_of(image) if self.namespace is None else self.namespace
+            namespace = camera_namespace(image) if self.namespace is None else self.namespace
             outputs = Outputs.within(f"/{namespace.strip('/')}")
             check_outputs(bag.topics, outputs)
         return image, None if reference is None else References(reference), outputs
@@ -180,7 +180,7 @@ class BagConversion:
         pipeline = plan.processor.pipeline
         processes = 1 if pipeline.remembers else self._processes
         warm_up(plan.recipe.camera)
-        record = Record(plan.image.type_name, self.bits, self.gamma)
+        record = FrameLog(plan.image.type_name, self.bits, self.gamma)
         with _prepared(plan, processes) as work, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
             for topic in (*bag.topics.values(), *result_topics(plan.outputs, pipeline.deblurs)):
@@ -207,7 +207,7 @@ class BagConversion:
         return results
 
     def _results(
-        self, bag: Bag, plan: "_Plan", target: Path, record: Record, preparation_s: float
+        self, bag: Bag, plan: "_Plan", target: Path, record: FrameLog, preparation_s: float
     ) -> dict[str, Any]:
         view, references = plan.recipe.view, plan.references
         return {
@@ -271,7 +271,7 @@ def _prepared(plan: _Plan, processes: int) -> Iterator[Callable[[bytes], Process
 
 
 def _take(
-    batch: Batch, result: ProcessedFrame | None, plan: _Plan, writer: BagWriter, record: Record
+    batch: Batch, result: ProcessedFrame | None, plan: _Plan, writer: BagWriter, record: FrameLog
 ) -> None:
     """Write messages and the results of their frame, and note them."""
     references = plan.references

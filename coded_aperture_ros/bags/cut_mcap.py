@@ -1,4 +1,4 @@
-"""MCAP files without an end: what was written before a recording was cut off.
+"""MCAP files that were cut off: messages before the cut.
 
 An MCAP file is a row of records, each with its kind and length (https://mcap.dev/spec); the index
 at its end is for convenience. rosbags knows what is in a record, but wants a whole file. The
@@ -17,7 +17,7 @@ from typing import IO
 from rosbags.rosbag2.storage_mcap import decompress, get_qos, read_bytes, read_string
 
 from coded_aperture_ros.bags.complete import DAMAGE
-from coded_aperture_ros.bags.recorded import Recorded, Topic
+from coded_aperture_ros.bags.contents import BagMessage, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
@@ -31,7 +31,7 @@ _CHUNK_HEADER = struct.Struct("<QQQI")
 
 
 class CutMcap:
-    """A `Part` of a bag, where an MCAP file was cut off; one of `DAMAGE` if it begins badly."""
+    """MCAP file that was cut off, as a `Part` of a bag; one of `DAMAGE` if it begins badly."""
 
     storage = "mcap"
 
@@ -63,16 +63,16 @@ class CutMcap:
             f", its last {lost} bytes cannot be used" if lost else ", it has no end"
         )
 
-    def messages(self, topics: Sequence[str]) -> Iterator[Recorded]:
+    def messages(self, topics: Sequence[str]) -> Iterator[BagMessage]:
         """Yield messages as they stand in the file."""
         for kind, content, _ in _records_of(self.path):
             if kind == _MESSAGE:
                 number, _, time_ns, _ = _MESSAGE_HEADER.unpack_from(content)
                 if self._names[number] in topics:
-                    yield Recorded(self._names[number], time_ns, content[_MESSAGE_HEADER.size :])
+                    yield BagMessage(self._names[number], time_ns, content[_MESSAGE_HEADER.size :])
 
     def close(self) -> None:
-        """No file is open between two readings."""
+        """Do nothing: no file is open between two readings."""
 
 
 def _records_of(path: Path) -> Iterator[tuple[int, bytes, int]]:
@@ -108,7 +108,7 @@ def _row(file: IO[bytes]) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _unpacked(chunk: bytes, complete: bool) -> tuple[bytes, bool]:
-    """Return the records of a chunk; of one that is damaged, those that are not compressed."""
+    """Records of a chunk; of a damaged one, those that are not compressed."""
     compression, records = None, b""
     body = io.BytesIO(chunk)
     try:

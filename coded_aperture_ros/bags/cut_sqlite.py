@@ -1,15 +1,15 @@
-"""SQLite files that are damaged: the rows before the damage."""
+"""SQLite files that are damaged: messages before the damage."""
 
 import sqlite3
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from urllib.parse import quote
 
-from coded_aperture_ros.bags.recorded import Recorded, Topic
+from coded_aperture_ros.bags.contents import BagMessage, Topic
 
 
 class CutSqlite:
-    """A `Part` of a bag, where a `.db3` file is damaged; `sqlite3.Error` if all of it is."""
+    """Damaged `.db3` file, as a `Part` of a bag; raises `sqlite3.Error` if nothing can be read."""
 
     storage = "sqlite3"
 
@@ -28,7 +28,7 @@ class CutSqlite:
             raise
         self.damage = f"{path.name} is damaged"
 
-    def messages(self, topics: Sequence[str]) -> Iterator[Recorded]:
+    def messages(self, topics: Sequence[str]) -> Iterator[BagMessage]:
         """Yield messages in the order in which they were written, up to the damage."""
         # Not in the order of their times: that goes by an index, which may be lost.
         query = "SELECT topic_id, timestamp, data FROM messages ORDER BY id"
@@ -37,7 +37,7 @@ class CutSqlite:
             for topic, time_ns, data in self._database.execute(query):
                 name = self._names.get(topic, "")
                 if name in topics:
-                    yield Recorded(name, time_ns, data)
+                    yield BagMessage(name, time_ns, data)
                 count += 1
         except sqlite3.Error as error:
             self.damage = f"{self.path.name} is damaged behind {count} messages ({error})"

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.record import Sample
+from coded_aperture_ros.bags.frame_log import Sample
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.figures import new_figure, save_figure
 from coded_aperture_ros.frames import SRGB, pixels_from_linear
@@ -17,12 +17,12 @@ from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 
 _WIDTH_INCHES, _ROW_INCHES = 8.0, 1.7
-# Pictures are shown at this width; full size would make the page several times as large.
+# Width of the pictures; full size would make the page several times as large.
 _PICTURE_PX = 320
-# An error of this share is white.
+# Relative error that is drawn white.
 _WHITE_ERROR = 0.2
 _NO_ERROR_RGB = (40, 40, 90)
-# Titles, and where the values are found; a row of the plot for each.
+# Keys of the values, and titles; a row of the plot for each.
 _SERIES = {
     "coverage": "share of pixels with depth",
     "median_depth_m": "median depth, m",
@@ -32,7 +32,7 @@ _SERIES = {
 
 
 def series_plot(series: Sequence[Mapping[str, Any]]) -> bytes:
-    """Draw what is known of every frame over time."""
+    """Plot of the values of every frame over time, as PNG."""
     names = [name for name in _SERIES if any(row.get(name) is not None for row in series)]
     first = series[0]["stamp_ns"]
     seconds = [1e-9 * (row["stamp_ns"] - first) for row in series]
@@ -54,13 +54,13 @@ def series_plot(series: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def reliability_plot(reliability: Reliability) -> bytes:
-    """Draw how often depth of a given confidence is right."""
+    """Reliability diagram of the confidence, as PNG."""
     curves = {"depth": reliability}
     return _png(lambda file: reliability_diagram(curves, file, "within 5 % of the reference"))
 
 
-def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
-    """Return the nearest and farthest depth that pictures of all samples show alike."""
+def depth_range(samples: Sequence[Sample]) -> tuple[float, float]:
+    """Nearest and farthest depth of the colours of all samples, m."""
     depths = [sample.maps.depth_m for sample in samples]
     depths += [sample.score.reference_m for sample in samples if sample.score is not None]
     known = np.concatenate([depth[np.isfinite(depth)] for depth in depths])
@@ -70,8 +70,8 @@ def range_of(samples: Sequence[Sample]) -> tuple[float, float]:
     return float(near), float(far)
 
 
-def list_pictures(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDArray[np.uint8]]:
-    """Return the pictures of a frame and its results, by their titles."""
+def sample_pictures(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDArray[np.uint8]]:
+    """Pictures of a frame and its results, uint8 [rows, columns(, RGB)], by their titles."""
     pictures = {"coded frame": _light(sample.frame)}
     pictures["depth"] = depth_picture(_small(sample.maps.depth_m), *range_m)
     pictures["confidence"] = confidence_picture(_small(sample.maps.confidence))
@@ -85,14 +85,14 @@ def list_pictures(sample: Sample, range_m: tuple[float, float]) -> dict[str, NDA
     return pictures
 
 
-def png(picture: NDArray[np.uint8]) -> bytes:
-    """Encode a grey or RGB picture."""
+def encode_png(picture: NDArray[np.uint8]) -> bytes:
+    """PNG of a grey or RGB picture."""
     stored = picture if picture.ndim == 2 else cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
     return bytes(cv2.imencode(".png", stored)[1])
 
 
 def _light(frame: FloatArray) -> NDArray[np.uint8]:
-    """Return a frame as a display wants it."""
+    """Frame as a display wants it, small."""
     return np.asarray(pixels_from_linear(_small(frame), 8, SRGB), np.uint8)
 
 
@@ -107,7 +107,7 @@ def _small(values: FloatArray) -> FloatArray:
 
 
 def _error_picture(error: FloatArray) -> NDArray[np.uint8]:
-    """Draw relative errors from black to white; where there is none, blue."""
+    """Picture of relative errors from black to white; blue where unknown."""
     picture = np.repeat(grey_picture(error / _WHITE_ERROR)[..., None], 3, axis=2)
     picture[~np.isfinite(error)] = _NO_ERROR_RGB
     return picture

@@ -12,7 +12,7 @@ import numpy as np
 
 from coded_aperture_ros.bags.conversion import REPORT
 from coded_aperture_ros.bags.engine import WorkerLostError, in_order
-from coded_aperture_ros.bags.page import JSON, PAGE, page_of
+from coded_aperture_ros.bags.page import JSON, PAGE, html_page
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs
 
@@ -92,7 +92,7 @@ def convert_jobs(
             yield from convert_jobs(convert, part, processes, client)
 
 
-def jobs_of(sources: Iterable[Path], folder: Path) -> list[Job]:
+def plan_jobs(sources: Iterable[Path], folder: Path) -> list[Job]:
     """Jobs of bags, each with a folder of its name; an `InputError` if two have the same name."""
     jobs: dict[str, Job] = {}
     for source in (path.resolve() for path in sources):
@@ -146,4 +146,4 @@ def _page(results: Mapping[str, Any]) -> str:
         rows.append("<td>".join(["<tr>", link, str(row["frames"]), str(row["used"]), *texts]))
     for source, reason in results["failed"].items():
         rows.append(f"<tr><td>{html.escape(source)}<td colspan=5>{html.escape(reason)}")
-    return page_of(f"Depth of {len(results['bags'])} bags", ["<table>", *rows, "</table>"])
+    return html_page(f"Depth of {len(results['bags'])} bags", ["<table>", *rows, "</table>"])

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bags import codec
+from coded_aperture_ros.bags.contents import BagMessage, Topic
 from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
-from coded_aperture_ros.bags.recorded import Recorded, Topic
 from coded_aperture_ros.bags.topics import Outputs
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
@@ -26,14 +26,14 @@ class Batch:
 
     Attributes
     ----------
-    copies : tuple of Recorded
+    copies : tuple of BagMessage
     index : int or None
         Of the frame in its topic, which is the last of the messages; None: none of them is one.
     info : message
         Camera model of that time.
     """
 
-    copies: tuple[Recorded, ...]
+    copies: tuple[BagMessage, ...]
     index: int | None
     info: Any
 
@@ -46,12 +46,20 @@ class Batch:
 def batches(
     bag: Bag, image_topic: str, info_topic: str | None, camera: Camera, view: View
 ) -> Iterator[Batch]:
-    """Yield all messages of a bag, up to and with a frame at a time.
+    """Yield all messages of a bag, each time up to and with a frame.
 
-    The camera file's model counts until the bag has one of the frames. `view` is theirs.
+    Parameters
+    ----------
+    bag : Bag
+    image_topic, info_topic : str
+        Of the frames and, if there is one, of their camera models.
+    camera : Camera
+        Its model is valid until the bag has one.
+    view : View
+        What the frames show of the camera's view.
     """
-    info = codec.info_of(camera.intrinsics.for_view(view))
-    copies: list[Recorded] = []
+    info = codec.camera_info_message(camera.intrinsics.for_view(view))
+    copies: list[BagMessage] = []
     waiting, frames = 0, 0
     for message in bag.messages():
         copies.append(message)
@@ -118,6 +126,6 @@ def result_messages(
 
 def warm_up(camera: Camera) -> None:
     """Prepare reading and writing of messages, which takes 0.1 s with the first ones."""
-    info = codec.info_of(camera.intrinsics)
+    info = codec.camera_info_message(camera.intrinsics)
     codec.read_camera_info(codec.camera_info_data(info, (1, 1), info.header))
     codec.read_depth_image(codec.image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))

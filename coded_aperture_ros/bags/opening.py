@@ -1,12 +1,12 @@
-"""The files of a bag, each as a whole or as far as it can be read."""
+"""Opening a bag as a whole, or else file by file, each as far as it can be read."""
 
 import re
 from pathlib import Path
 
-from coded_aperture_ros.bags.complete import DAMAGE, CompleteBag, in_a_line
+from coded_aperture_ros.bags.complete import DAMAGE, CompleteBag, one_line
+from coded_aperture_ros.bags.contents import METADATA, SUFFIXES
 from coded_aperture_ros.bags.cut_mcap import CutMcap
 from coded_aperture_ros.bags.cut_sqlite import CutSqlite
-from coded_aperture_ros.bags.recorded import METADATA, SUFFIXES
 from coded_aperture_ros.core.errors import InputError
 
 _CUT: dict[str, type] = {"mcap": CutMcap, "sqlite3": CutSqlite}
@@ -15,9 +15,24 @@ Part = CompleteBag | CutMcap | CutSqlite
 
 
 def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
-    """Open a bag, or, where that cannot be done, its files one by one; and say what is wrong.
+    """Open a bag, or, if it is damaged, its files one by one.
 
-    An `InputError` if nothing in it can be read.
+    Parameters
+    ----------
+    path : Path
+    files : list of Path
+        Those of the bag.
+
+    Returns
+    -------
+    parts : list of Part
+    damage : list of str
+        Descriptions of what is wrong.
+
+    Raises
+    ------
+    InputError
+        If nothing in the bag can be read.
     """
     damage, refused = [], ""
     if path.is_file() or (path / METADATA).is_file():
@@ -26,7 +41,7 @@ def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
         except PermissionError as error:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
         except DAMAGE as error:
-            refused = in_a_line(error)
+            refused = one_line(error)
             if path.is_dir():
                 damage.append(f"it cannot be opened as a whole ({refused})")
     else:
@@ -38,7 +53,7 @@ def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
                 parts.append(kind(file))
                 break
             except DAMAGE as error:
-                refused = f"{file.name}: {in_a_line(error)}"
+                refused = f"{file.name}: {one_line(error)}"
         else:
             damage.append(f"{file.name} cannot be read")
     if not any(part.topics for part in parts):
@@ -49,5 +64,5 @@ def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
 
 
 def _by_number(path: Path) -> list[int | str]:
-    """Sort key with which file 10 comes after file 9."""
+    """Sort key for names with numbers: file 10 comes after file 9."""
     return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]

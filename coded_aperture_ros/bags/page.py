@@ -1,4 +1,4 @@
-"""The report of a bag: a page that needs no network and no other file, and JSON."""
+"""Report of a bag: a page that needs no network and no other file, and JSON."""
 
 import base64
 import html
@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags.figures import (
-    list_pictures,
-    png,
-    range_of,
+    depth_range,
+    encode_png,
     reliability_plot,
+    sample_pictures,
     series_plot,
 )
-from coded_aperture_ros.bags.record import Record
+from coded_aperture_ros.bags.frame_log import FrameLog
 from coded_aperture_ros.depth.quality import CAUSES
 from coded_aperture_ros.metrics.reliability import Reliability
 
@@ -31,15 +31,15 @@ img { display: block; max-width: 100% }
 """
 
 
-def write_report(folder: Path, results: Mapping[str, Any], record: Record) -> None:
-    """Write the results, ready for JSON, and the page about them into a folder, which is made."""
+def write_report(folder: Path, results: Mapping[str, Any], record: FrameLog) -> None:
+    """Write the results, ready for JSON, and the page about them into a new folder."""
     folder.mkdir()
     text = json.dumps({**results, "series": record.series()}, indent=1, allow_nan=False)
     (folder / JSON).write_text(text + "\n", encoding="utf-8")
     (folder / PAGE).write_text(_page(results, record), encoding="utf-8")
 
 
-def _page(results: Mapping[str, Any], record: Record) -> str:
+def _page(results: Mapping[str, Any], record: FrameLog) -> str:
     warnings = [f'<p class="warning">{html.escape(text)}</p>' for text in _warnings(results)]
     parts = [*warnings, _table(_facts(results))]
     parts.append(f"<h2>Frame by frame</h2>{_image(series_plot(record.series()), 'series')}")
@@ -52,19 +52,19 @@ def _page(results: Mapping[str, Any], record: Record) -> str:
         )
     parts.append("<h2>Some frames</h2>")
     samples = list(record.samples.values())
-    range_m = range_of(samples)
+    range_m = depth_range(samples)
     for sample in samples:
         figures = [
-            f"<figure>{_image(png(picture), name)}<figcaption>{name}</figcaption></figure>"
-            for name, picture in list_pictures(sample, range_m).items()
+            f"<figure>{_image(encode_png(picture), name)}<figcaption>{name}</figcaption></figure>"
+            for name, picture in sample_pictures(sample, range_m).items()
         ]
         parts.append(f"<h3>Frame {sample.index}</h3>{''.join(figures)}")
     parts.append(f"<h2>Time</h2>{_table(_times(results))}")
-    return page_of(f"Depth of {results['input']}", parts)
+    return html_page(f"Depth of {results['input']}", parts)
 
 
-def page_of(title: str, parts: Iterable[str]) -> str:
-    """Return a page in our style of a title and pieces of HTML below it."""
+def html_page(title: str, parts: Iterable[str]) -> str:
+    """HTML page with a title and pieces of HTML below it."""
     title = html.escape(title)
     body = "\n".join([f"<h1>{title}</h1>", *parts])
     return (

@@ -1,6 +1,6 @@
-"""Recorded ROS 2 bags, whole or cut off: their topics, and their messages in order.
+"""Reading of ROS 2 bags, whole or cut off: topics, and messages in order.
 
-rosbags, which the modules beside need, is imported when a bag is opened, and not before.
+rosbags is imported when a bag is opened, and not before.
 """
 
 import dataclasses
@@ -9,25 +9,37 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from coded_aperture_ros.bags.recorded import METADATA, SUFFIXES, Recorded, Topic
+from coded_aperture_ros.bags.contents import METADATA, SUFFIXES, BagMessage, Topic
 from coded_aperture_ros.core.errors import InputError
 
 
 def is_bag(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path looks like a bag: its folder, whole or cut off, or a file of one."""
+    """Whether a path looks like a bag: its folder, whole or cut off, or a file of one."""
     path = Path(path)
     return bool(_storage_files(path)) or (path / METADATA).is_file()
 
 
 class Bag(AbstractContextManager["Bag"]):
-    """A bag that is read from beginning to end, as far as it can be read.
+    """Bag that is read from beginning to end, as far as it can be read.
 
-    A folder with `metadata.yaml`, one that was left without it, or a `.mcap` or `.db3` file. Raises
-    `InputError` if there is no bag, or nothing in it can be read.
+    Parameters
+    ----------
+    path : str or path
+        Folder with `metadata.yaml`, or left without it, or a `.mcap` or `.db3` file.
 
-    `storage` is `mcap` or `sqlite3`; `topics` are those of the files that can be read, in the order
-    of their names; `damage` is what is wrong with the bag, in words; empty if nothing is, or
-    nothing was met yet.
+    Attributes
+    ----------
+    storage : str
+        `mcap` or `sqlite3`.
+    topics : dict of str to Topic
+        Of the files that can be read, in the order of their names.
+    damage : str
+        What is wrong with the bag; empty if nothing is, or nothing was met yet.
+
+    Raises
+    ------
+    InputError
+        If there is no bag, or nothing in it can be read.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -55,19 +67,19 @@ class Bag(AbstractContextManager["Bag"]):
             topics[topic.name] = topic if before is None else _joined(before, topic)
         self.topics = dict(sorted(topics.items()))
 
-    def messages(self, *topics: str) -> Iterator[Recorded]:
-        """Yield the messages of some topics, by default of all.
+    def messages(self, *topics: str) -> Iterator[BagMessage]:
+        """Yield the messages of topics, by default of all, in the order of their recording.
 
-        In the order of their recording; behind a cut nothing comes, and `damage` says so.
+        They end where the bag is cut off, and `damage` says so.
         """
-        from coded_aperture_ros.bags.complete import DAMAGE, in_a_line
+        from coded_aperture_ros.bags.complete import DAMAGE, one_line
 
         for part in self._parts:
             try:
                 yield from part.messages(topics or tuple(self.topics))
                 met = part.damage
             except DAMAGE as error:
-                met = f"{part.path.name} is damaged: {in_a_line(error)}"
+                met = f"{part.path.name} is damaged: {one_line(error)}"
             if met not in self.damage:
                 self.damage = f"{self.damage}; {met}" if self.damage else met
 
@@ -81,7 +93,7 @@ class Bag(AbstractContextManager["Bag"]):
 
 
 def check_rosbags() -> None:
-    """Refuse to go on without rosbags, with an `InputError` that says what to install."""
+    """Raise `InputError` if rosbags is not installed."""
     try:
         import rosbags.rosbag2  # noqa: F401
     except ImportError as error:
@@ -89,13 +101,13 @@ def check_rosbags() -> None:
 
 
 def _joined(one: Topic, other: Topic) -> Topic:
-    """Return a topic whose messages are in two files."""
+    """Topic whose messages are in two files."""
     known = one.count is not None and other.count is not None
     return dataclasses.replace(one, count=(one.count or 0) + (other.count or 0) if known else None)
 
 
 def _storage_files(path: Path) -> list[Path]:
-    """Return the files that a bag is made of: those of the storage that comes first."""
+    """Files of a bag: those of the storage that comes first in `SUFFIXES`."""
     files = list(path.iterdir()) if path.is_dir() else [path] if path.is_file() else []
     for suffix in SUFFIXES:
         if found := [file for file in files if file.suffix.lower() == suffix]:

@@ -1,4 +1,4 @@
-"""Depth of a bag against the depth that another camera recorded beside it."""
+"""Errors of the depth of a bag against the depth that another camera recorded."""
 
 import dataclasses
 from collections.abc import Iterable, Iterator
@@ -9,40 +9,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.codec import read_depth_image
+from coded_aperture_ros.bags.contents import BagMessage
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
-from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import MessageError, depth_from_pixels, stamp_ns
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.errors import RelativeError
 
-# What the confidence promises.
+# Relative error that counts as right: the confidence is the probability of it.
 RIGHT_WITHIN = 0.05
-# A reference counts as of the same time up to this far from a frame.
+# A reference this far from a frame, ns, is of the same time.
 TOLERANCE_NS = 20_000_000
-# Frames that wait for their reference at most, and the other way round.
+# Frames that wait for their reference, at most; twice as many references wait for frames.
 _WAITING = 64
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FrameScore:
-    """How good the depth of one frame is."""
+    """Errors of the depth of one frame.
 
-    error: RelativeError  # of the pixels of the depth image whose reference is known
-    apart_ns: int  # between the stamps of depth and reference
-    reliability: Reliability  # of the pixels that have both; right is within 5 %
-    reference_m: FloatArray  # as it was compared, [rows, columns]
+    Attributes
+    ----------
+    error : RelativeError
+        Of the pixels of the depth image whose reference is known.
+    apart_ns : int
+        Between the stamps of depth and reference.
+    reliability : Reliability
+        Of the pixels that have both; right is within 5 %.
+    reference_m : ndarray, float32 [rows, columns]
+        Reference at the size of the depth image.
+    """
+
+    error: RelativeError
+    apart_ns: int
+    reliability: Reliability
+    reference_m: FloatArray
 
 
 def frame_score(
     depth_m: FloatArray, confidence: FloatArray, reference: NDArray, apart_ns: int = 0
 ) -> FrameScore:
-    """Compare a depth image with a reference of any size that shows the same view.
+    """Score of a depth image against a reference of any size that shows the same view.
 
-    Every pixel of the depth image, not finite where unknown, is compared with the nearest one of
-    the reference, which is float32 (m) or uint16 (mm), see `messages.depth_from_pixels`.
+    Every pixel of the depth image is compared with the nearest one of the reference.
+
+    Parameters
+    ----------
+    depth_m, confidence : ndarray, float32 [rows, columns]
+        Depth is not finite where unknown.
+    reference : ndarray, float32 (m) or uint16 (mm) [other rows, other columns]
+        See `messages.depth_from_pixels`.
+    apart_ns : int
+        Between the stamps of depth and reference.
+
+    Raises
+    ------
+    MessageError
+        If the reference has other proportions.
     """
-    reference_m = depth_from_pixels(at_size(reference, depth_m.shape))
+    reference_m = depth_from_pixels(resize_reference(reference, depth_m.shape))
     known = np.isfinite(reference_m)
     # Numbers of pixels are a third faster to look up than a mask of them.
     both = np.flatnonzero(known & np.isfinite(depth_m))
@@ -53,8 +78,8 @@ def frame_score(
     return FrameScore(error, apart_ns, reliability, reference_m)
 
 
-def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
-    """Return a reference at the size (rows, columns) of another depth image, by nearest pixels.
+def resize_reference(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
+    """Reference at the size (rows, columns) of another depth image, by nearest pixels.
 
     A `MessageError` of kind "reference" if the proportions differ: it would be of another view.
     """
@@ -70,7 +95,7 @@ def at_size(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
 
 
 def summary(scores: list[FrameScore]) -> dict[str, Any]:
-    """Sum up the scores of frames, ready for JSON.
+    """Summary of the scores of frames, ready for JSON.
 
     Medians are medians over the frames of each frame's value; means and shares are over all
     pixels of all frames.
@@ -103,15 +128,15 @@ def summary(scores: list[FrameScore]) -> dict[str, Any]:
 
 
 class References:
-    """Pairs depth images with the references of the same time, whichever comes first."""
+    """Pairs of depth images and references of the same time, whichever comes first."""
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
         self._references: dict[int, NDArray] = {}
         self._frames: dict[int, tuple[int, DepthMaps]] = {}
 
-    def add_messages(self, messages: Iterable[Recorded]) -> None:
-        """Take the references among some messages; a `MessageError` if one is no depth image."""
+    def add_messages(self, messages: Iterable[BagMessage]) -> None:
+        """Take the references among messages; a `MessageError` if one is no depth image."""
         for message in messages:
             if message.topic == self.topic:
                 picture = read_depth_image(message.data)
@@ -125,7 +150,7 @@ class References:
             self._frames[index] = stamp_ns(result.header), result.maps
 
     def scores(self, end: bool = False) -> Iterator[tuple[int, FrameScore]]:
-        """Yield what can be scored by now, with the frames' indices; in the end what is left."""
+        """Yield indices and scores of frames whose references have come; at the end, of all."""
         for index, (taken_ns, maps) in list(self._frames.items()):
             nearest = min(self._references, key=lambda at: abs(at - taken_ns), default=None)
             apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - taken_ns)

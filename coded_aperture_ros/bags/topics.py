@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from coded_aperture_ros.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
-from coded_aperture_ros.bags.recorded import Topic
+from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import layer_specs
 
@@ -52,11 +52,23 @@ class Outputs:
 def image_topic(
     topics: Mapping[str, Topic], wanted: str | None, *others: str | None, named_by: str = "--topic "
 ) -> Topic:
-    """Return the topic of the coded frames.
+    """Topic of the coded frames.
 
-    By default that is the only topic of images besides `others`, or the only one of these called
-    `image_raw`. An `InputError`, with what a user writes to name one (`named_by`), if there is no
-    such topic, or several could be meant.
+    Parameters
+    ----------
+    topics : mapping of str to Topic
+    wanted : str or None
+        Its name; None: the only topic of images besides `others`, or the only one of these called
+        `image_raw`.
+    *others : str or None
+        Topics of other images.
+    named_by : str
+        What a user writes before the name of a topic, for messages.
+
+    Raises
+    ------
+    InputError
+        If there is no such topic, or several could be meant.
     """
     images = {
         name: topic
@@ -75,13 +87,13 @@ def image_topic(
 
 
 def depth_topic(topics: Mapping[str, Topic], wanted: str) -> Topic:
-    """Return the topic of reference depth; an `InputError` if there is no such topic of images."""
+    """Topic of the reference depth; an `InputError` if there is no such topic of images."""
     images = {name: topic for name, topic in topics.items() if topic.type_name == IMAGE}
     return _named(images, wanted, IMAGE, topics)
 
 
-def namespace_of(topic: Topic) -> str:
-    """Return the namespace of a camera, by its topic of images."""
+def camera_namespace(topic: Topic) -> str:
+    """Namespace of a camera, by its topic of images."""
     name = topic.name
     if topic.type_name == COMPRESSED and name.endswith("/compressed"):
         name = name.removesuffix("/compressed")
@@ -89,8 +101,8 @@ def namespace_of(topic: Topic) -> str:
 
 
 def camera_info_topic(topics: Mapping[str, Topic], image: Topic) -> str | None:
-    """Return the topic with the camera models that belong to images, None if there is none."""
-    name = f"{namespace_of(image)}/camera_info"
+    """Topic with the camera models of a topic of images; None if there is none."""
+    name = f"{camera_namespace(image)}/camera_info"
     found = topics.get(name)
     return name if found is not None and found.type_name == CAMERA_INFO else None
 

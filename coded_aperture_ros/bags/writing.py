@@ -1,4 +1,4 @@
-"""Bags that appear whole or not at all."""
+"""Writing of bags, which appear whole or not at all."""
 
 import os
 import sqlite3
@@ -7,8 +7,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.bags.contents import METADATA, Topic
 from coded_aperture_ros.bags.reading import check_rosbags
-from coded_aperture_ros.bags.recorded import METADATA, Topic
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import temporary_folder
 
@@ -61,12 +61,12 @@ class BagWriter:
             self._closed = True
 
     def abort(self) -> None:
-        """Let go of the files, complete or not."""
+        """Close the files, complete or not."""
         self._writer.abort()
 
 
 def _known_type(topic: Topic) -> tuple[str, str]:
-    """Return definition and hash of a topic's type, as far as they are known."""
+    """Definition and hash of a topic's type, as far as they are known."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -80,7 +80,7 @@ def _known_type(topic: Topic) -> tuple[str, str]:
 
 
 def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> None:
-    """Check that a bag can be written, before anything is computed; an `InputError` if not."""
+    """Raise `InputError` if a bag cannot be written, before anything is computed."""
     for given in inputs:
         if path.exists() and path.resolve() in (given.resolve(), *given.resolve().parents):
             raise InputError(f"{path}: the input {given} would be overwritten: use another name")
@@ -100,10 +100,19 @@ def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> Non
 
 @contextmanager
 def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
-    """Yield what writes a bag; it gets its name, and takes the place of another, if all goes well.
+    """Yield a writer of a bag that gets its name, or replaces another bag, at the end.
 
-    `path` is the folder of the bag, whose missing parent folders are created; `storage` is mcap or
-    sqlite3. Raises `InputError` if it cannot be written; nothing is left behind then.
+    Parameters
+    ----------
+    path : Path
+        Folder of the bag; missing parent folders are created.
+    storage : str
+        `mcap` or `sqlite3`.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written; nothing is left behind then.
     """
     check_rosbags()
     with _writing(path), temporary_folder(path) as temporary:
@@ -123,7 +132,7 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Say in one line what went wrong."""
+    """Raise `InputError` in place of errors of files and of SQLite."""
     try:
         yield
     except OSError as error:

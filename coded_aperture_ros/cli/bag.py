@@ -13,7 +13,7 @@ from typing import Any
 
 from coded_aperture_ros.bags import check_bag_output
 from coded_aperture_ros.bags.conversion import BagConversion
-from coded_aperture_ros.bags.many import Job, Outcome, convert_jobs, jobs_of, write_summary
+from coded_aperture_ros.bags.many import Job, Outcome, convert_jobs, plan_jobs, write_summary
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.estimation import known_motion, make_pipeline
 from coded_aperture_ros.cli.estimation_arguments import ESTIMATION_RULES, EstimationArguments
@@ -192,7 +192,7 @@ def _convert_all(args: Arguments) -> int:
     bank = args.bank and str(Path(args.bank).resolve())
     camera = args.camera and str(Path(args.camera).resolve())
     args = dataclasses.replace(args, bank=bank, camera=camera)
-    jobs = jobs_of(map(Path, args.inputs), Path(args.output))
+    jobs = plan_jobs(map(Path, args.inputs), Path(args.output))
     left = [job for job in jobs if args.overwrite or not job.done(_settings(args))]
     processes = 1 if args.scheduler else _bags_at_once(args, len(left))
     threads = processors() // processes if processes > 1 else 0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.bags.score import at_size
+from coded_aperture_ros.bags.score import resize_reference
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.frames import SRGB, pixels_from_linear
@@ -79,7 +79,7 @@ def _comparison(snapshot: dict[str, NDArray]) -> NDArray:
     """Return what was found beside what is there, in one picture."""
     from coded_aperture_ros.ros import demo_monitor as topics
 
-    found = at_size(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
+    found = resize_reference(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
     truth = snapshot[topics.TRUE_DEPTH]
     known = truth[np.isfinite(truth)]
     near_m, far_m = map(float, (known.min(), known.max())) if known.size else (1.0, 2.0)

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.bags.figures import png
-from coded_aperture_ros.bags.page import page_of
+from coded_aperture_ros.bags.figures import encode_png
+from coded_aperture_ros.bags.page import html_page
 
 _THIRDS = ("inner", "middle", "outer")
 # An error of depth that is as dark as a cell gets, and a share of pixels that is enough.
@@ -39,12 +39,12 @@ def field_page(found: Any, lines: str, pictures: dict[str, Any], misplaced: Iter
     if pictures:
         parts.append("<h2>PSFs of the parts of the image</h2>")
     for what, picture in pictures.items():
-        data = base64.b64encode(png(np.rint(255 * picture).astype(np.uint8))).decode()
+        data = base64.b64encode(encode_png(np.rint(255 * picture).astype(np.uint8))).decode()
         parts.append(
             f'<figure><img src="data:image/png;base64,{data}" alt="{html.escape(what)}">'
             f"<figcaption>{html.escape(what)}</figcaption></figure>"
         )
-    return page_of("The lens away from the axis", parts)
+    return html_page("The lens away from the axis", parts)
 
 
 def _cells(thirds: Any) -> str:

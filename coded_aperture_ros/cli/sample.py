@@ -95,7 +95,7 @@ def _record(path: Path, camera: Camera, views: Sequence[SimulatedFrame]) -> list
     # rosbags is an extra.
     from coded_aperture_ros.bags import bag_output, codec
 
-    info = codec.info_of(camera.intrinsics)
+    info = codec.camera_info_message(camera.intrinsics)
     with bag_output(path, "mcap") as bag:
         kinds = {
             "/image_raw": codec.IMAGE,

@@ -1,4 +1,4 @@
-"""Threads that share the work on one frame, and the process that others are forked from."""
+"""Threads that share the work on one frame."""
 
 import os
 from collections.abc import Callable, Sequence
@@ -103,16 +103,3 @@ def thread_count(threads: int) -> int:
     threads = threads or min(processors(), _AUTOMATIC_THREADS)
     check_threads(threads)
     return threads
-
-
-def load_in_fork_server(module: str) -> None:
-    """Begin to load a module into the process that others are forked from, without waiting for it.
-
-    Its imports take a second or two: whoever is going to need processes says so first. `module` is
-    that of what the processes will do.
-    """
-    import multiprocessing
-    from multiprocessing import forkserver
-
-    multiprocessing.set_forkserver_preload([module])
-    forkserver.ensure_running()

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 
-from coded_aperture_ros.bags.score import at_size
+from coded_aperture_ros.bags.score import resize_reference
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import array_from_image, frame_from_image
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
@@ -135,7 +135,7 @@ class DemoMonitor(Node):
 
 def error_of(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
     """Return the error of a depth map, which may be of another size than the truth."""
-    return depth_error(depth_m, confidence, at_size(true_depth_m, depth_m.shape))
+    return depth_error(depth_m, confidence, resize_reference(true_depth_m, depth_m.shape))
 
 
 def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:

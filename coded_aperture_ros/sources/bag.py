@@ -4,7 +4,7 @@ import os
 from collections.abc import Generator
 from pathlib import Path
 
-from coded_aperture_ros.bags import Bag, Recorded
+from coded_aperture_ros.bags import Bag, BagMessage
 from coded_aperture_ros.bags.codec import read_picture
 from coded_aperture_ros.bags.topics import image_topic
 from coded_aperture_ros.core.errors import InputError, naming
@@ -12,7 +12,7 @@ from coded_aperture_ros.sources.files import FileSource
 from coded_aperture_ros.sources.source import Capture
 
 
-class BagSource(FileSource[tuple[int, Recorded]]):
+class BagSource(FileSource[tuple[int, BagMessage]]):
     """The images of a topic of a bag, by default of the only one, or of `image_raw`.
 
     The stamps are those of the messages, or, where a message has none, the times of their
@@ -40,12 +40,12 @@ class BagSource(FileSource[tuple[int, Recorded]]):
         if bag is not None:
             bag.close()
 
-    def _stored(self) -> Generator[tuple[int, Recorded], None, None]:
+    def _stored(self) -> Generator[tuple[int, BagMessage], None, None]:
         self._bag = bag = self._bag or Bag(self._path)
         yield from enumerate(bag.messages(self._topic.name))
         self.damage = bag.damage
 
-    def _capture(self, stored: tuple[int, Recorded]) -> Capture:
+    def _capture(self, stored: tuple[int, BagMessage]) -> Capture:
         index, message = stored
         with naming(f"{self._path}, {self._topic.name}"):
             picture = read_picture(message.data, self._topic.type_name)

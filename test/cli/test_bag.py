@@ -34,10 +34,10 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import CompressionMode
 
-from coded_aperture_ros.bags import Recorded
+from coded_aperture_ros.bags import BagMessage
 from coded_aperture_ros.bags.codec import read_picture
+from coded_aperture_ros.bags.frame_log import FrameLog
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
-from coded_aperture_ros.bags.record import Record
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import MessageError, array_from_image
 
@@ -224,10 +224,10 @@ def test_a_compressed_frame_that_is_cut_off_is_refused(length):
 def test_pictures_of_the_report_are_linear_light(encoding, expected):
     pixels = np.full((4, 6), {"mono8": 127.5, "mono16": 32767.5}[encoding])
     pixels = np.rint(pixels).astype({"mono8": np.uint8, "mono16": np.uint16}[encoding])
-    record, data = Record(IMAGE, gamma=2.2), image(pixels, encoding, 0)
+    record, data = FrameLog(IMAGE, gamma=2.2), image(pixels, encoding, 0)
     maps = DepthMaps(*np.ones((3, 4, 6), np.float32), 0.002)
     result = ProcessedFrame(header=read_picture(data, IMAGE).header, maps=maps, sharp=pixels)
-    record.add(0, Recorded("/eye/image", START_NS, data), result)
+    record.add(0, BagMessage("/eye/image", START_NS, data), result)
     for shown in (record.samples[0].frame, record.samples[0].sharp):
         assert shown == pytest.approx(np.full((4, 6), expected), rel=0.01)
 

@@ -1,6 +1,5 @@
 """Bags that were cut off, places that cannot be written to, and bags as a source of frames."""
 
-import contextlib
 import json
 import os
 import shutil
@@ -26,13 +25,14 @@ from bag_scene import (
     read,
     recording,
     storage_file,
+    worker_processes,
     write_bag,
 )
 from cli_scene import call, everything
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
-from waiting import output_of, run_python, wait_until
+from waiting import output_of, run_python, scaled, wait_until
 
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.engine import in_order
@@ -411,17 +411,6 @@ def test_processes_write_what_one_process_writes(
     assert read(tmp_path / "several") == read(tmp_path / "one")
 
 
-def worker_processes(pid):
-    """Return the worker processes that a program has started."""
-    found = set()
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):  # it may end meanwhile
-            is_child = int(stat.read_text().rpartition(")")[2].split()[1]) == pid
-            if is_child and "popen_loky" in (stat.parent / "cmdline").read_text():
-                found.add(int(stat.parent.name))
-    return found
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("how", ["program", "worker", "ctrl-c", "terminated"])
@@ -446,6 +435,9 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_ended(scene, recorded, t
         if how == "program":
             program.kill()
         elif how == "worker":
+            # An idle worker would be replaced: now the program waits for the other one.
+            os.kill(min(workers), signal.SIGSTOP)
+            time.sleep(scaled(0.5))
             os.kill(min(workers), signal.SIGKILL)
         elif how == "ctrl-c":  # a terminal sends it to all of them
             os.killpg(program.pid, signal.SIGINT)

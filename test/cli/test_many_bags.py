@@ -2,14 +2,17 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from bag_scene import read, recording, write_bag
+from bag_scene import read, recording, worker_processes, write_bag
 from cli_scene import call, everything, examples, refused
-from waiting import scaled, wait_until
+from waiting import output_of, scaled, wait_until
+
+from coded_aperture_ros.core.workers import processors
 
 WEEK = ("monday", "tuesday")
 
@@ -165,6 +168,26 @@ def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
                 each.wait()
     found = json.loads((tmp_path / "out" / "report.json").read_text())
     assert (found["used"], len(found["bags"])) == (40, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(processors() < 2, reason="with one processor there are no workers")
+def test_a_worker_that_is_killed_costs_no_bag(scene, tmp_path):
+    names = ["one", "two", "three"]
+    for name in names:
+        write_bag(tmp_path / "in" / name, recording(scene, frames=40))
+    line = command(scene, tmp_path / "in", tmp_path / "out", names=names)
+    program = [sys.executable, "-m", "coded_aperture_ros", *map(str, line)]
+    asked = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        assert wait_until(lambda: list((tmp_path / "out").glob(".*/*")))
+        os.kill(min(worker_processes(asked.pid)), signal.SIGKILL)
+        _, said = output_of(asked)
+    finally:
+        asked.kill()
+    assert (asked.returncode, said) == (0, "")
+    found = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert (found["used"], len(found["bags"])) == (120, 3)
 
 
 def test_a_scheduler_that_is_not_there_is_named(scene, week, tmp_path, capsys):

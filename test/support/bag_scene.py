@@ -1,5 +1,6 @@
 """Bags of the small scene, written with rosbags itself, and what rosbags finds in bags."""
 
+import contextlib
 import dataclasses
 from functools import cache
 from pathlib import Path
@@ -168,3 +169,14 @@ def floats(message):
 def storage_file(folder: Path) -> Path:
     (file,) = [path for path in folder.iterdir() if path.suffix in SUFFIXES.values()]
     return file
+
+
+def worker_processes(pid):
+    """Return the worker processes that a program has started."""
+    found = set()
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it may end meanwhile
+            is_child = int(stat.read_text().rpartition(")")[2].split()[1]) == pid
+            if is_child and "popen_loky" in (stat.parent / "cmdline").read_text():
+                found.add(int(stat.parent.name))
+    return found

@@ -63,10 +63,10 @@ class Recording:
 
     def __init__(self, path: Path, camera: Camera) -> None:
         from coded_aperture_ros.bags import bag_output
-        from coded_aperture_ros.bags.codec import CAMERA_INFO, IMAGE, info_of, new_topic
+        from coded_aperture_ros.bags.codec import CAMERA_INFO, IMAGE, camera_info_message, new_topic
 
         self.path, self.count = path, 0
-        self._info = info_of(camera.intrinsics)
+        self._info = camera_info_message(camera.intrinsics)
         self._open = ExitStack()
         self._bag: Any = self._open.enter_context(bag_output(path, "mcap"))
         for topic, kind in ((_TOPIC, IMAGE), (_INFO_TOPIC, CAMERA_INFO)):

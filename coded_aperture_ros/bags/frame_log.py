@@ -1,4 +1,4 @@
-"""What is noted while a bag is worked on, for its report."""
+"""Statistics of the frames of a bag, for its report."""
 
 import dataclasses
 import os
@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.codec import read_picture
+from coded_aperture_ros.bags.contents import BagMessage
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
-from coded_aperture_ros.bags.recorded import Recorded
 from coded_aperture_ros.bags.score import FrameScore, summary
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
@@ -28,29 +28,61 @@ _STAGES = ("decode", "depth", "deblur")
 
 @dataclasses.dataclass(eq=False)
 class Sample:
-    """A frame that the report shows; frames are float32 in linear light."""
+    """Frame that the report shows.
+
+    Attributes
+    ----------
+    index : int
+    frame, sharp : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Coded frame and, if there is one, all-in-focus frame, in linear light.
+    maps : DepthMaps
+    score : FrameScore or None
+        Once its reference has come.
+    """
 
     index: int
     frame: FloatArray
     sharp: FloatArray | None
     maps: DepthMaps
-    score: FrameScore | None = None  # once its reference has come
+    score: FrameScore | None = None
 
 
-class Record:
-    """Notes the results of all frames, of messages of one type, and keeps a few of them.
+class FrameLog:
+    """Statistics of all frames, and a few of the frames.
 
-    `bits` are those of 16-bit frames, `gamma` that of 8-bit ones.
+    Parameters
+    ----------
+    type_name : str
+        Of the frames' messages.
+    bits : int
+        Of 16-bit frames.
+    gamma : float or "srgb"
+        Of 8-bit frames.
+
+    Attributes
+    ----------
+    frames : int
+        Number of frames, also of those that could not be used.
+    faults : Counter
+        Number of frames that could not be used, by the reason in a word.
+    reasons : dict of str to str
+        First reason of each kind in a line.
+    samples : dict of int to Sample
+        At most four frames, spread over the recording, by index.
+    scores : dict of int to FrameScore
+        By index, without the references.
+    layers : dict of str to None
+        Names of the layers that frames had, in their order.
     """
 
     def __init__(self, type_name: str, bits: int = 16, gamma: Gamma = 1.0) -> None:
         self._type_name, self._bits, self._gamma = type_name, bits, gamma
-        self.frames = 0  # also those that could not be used
-        self.faults: Counter[str] = Counter()  # those, by the reason in a word
-        self.reasons: dict[str, str] = {}  # the first of each in a line
-        self.samples: dict[int, Sample] = {}  # at most four, spread over the recording, by index
-        self.scores: dict[int, FrameScore] = {}  # by index, without the references themselves
-        self.layers: dict[str, None] = {}  # names of the layers that frames had, in their order
+        self.frames = 0
+        self.faults: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+        self.samples: dict[int, Sample] = {}
+        self.scores: dict[int, FrameScore] = {}
+        self.layers: dict[str, None] = {}
         self._rows: dict[int, dict[str, Any]] = {}
         self._spacing = 1
         self._start_s = time.perf_counter()
@@ -58,22 +90,22 @@ class Record:
         self._processor_s, self._own_start_s = 0.0, 0.0
 
     def start(self) -> None:
-        """Begin to take the time."""
+        """Start the clock."""
         self._start_s = time.perf_counter()
         self._own_start_s = time.process_time()
 
     def stop(self) -> None:
-        """Stop taking the time."""
+        """Stop the clock."""
         self._stop_s = time.perf_counter()
         self._processor_s += time.process_time() - self._own_start_s
 
     @property
     def used(self) -> int:
-        """Frames that have a depth image."""
+        """Number of frames with a depth image."""
         return len(self._rows)
 
-    def add(self, index: int, recorded: Recorded, result: ProcessedFrame) -> None:
-        """Note the result of a frame, by its index in the topic and its message."""
+    def add(self, index: int, recorded: BagMessage, result: ProcessedFrame) -> None:
+        """Add the result of a frame, by its index in the topic and its message."""
         self.frames += 1
         if result.process != os.getpid():  # else it is in the time of this process
             self._processor_s += result.processor_s
@@ -100,7 +132,7 @@ class Record:
             self._keep(index, recorded, result, maps)
 
     def add_scores(self, scores: Iterable[tuple[int, FrameScore]]) -> None:
-        """Note how good the depth of frames is."""
+        """Add scores of frames, by index."""
         for index, score in scores:
             if index in self.samples:
                 self.samples[index].score = score
@@ -108,7 +140,7 @@ class Record:
             self.scores[index] = dataclasses.replace(score, reference_m=nothing)
 
     def series(self) -> list[dict[str, Any]]:
-        """Return a row for every frame that could be used, ready for JSON."""
+        """List a row for every frame that could be used, ready for JSON."""
         rows = []
         for index, row in self._rows.items():
             row = {"index": index, **row}
@@ -121,7 +153,7 @@ class Record:
         return rows
 
     def depth(self) -> dict[str, Any]:
-        """Sum up what needs no reference, ready for JSON."""
+        """Summary of depth, confidence and noise, ready for JSON."""
         rows = list(self._rows.values())
 
         def over_frames(name: str) -> float | None:
@@ -139,13 +171,13 @@ class Record:
         }
 
     def reference(self, topic: str) -> dict[str, Any]:
-        """Sum up the scores, ready for JSON; an `InputError` if there are none."""
+        """Summary of the scores, ready for JSON; an `InputError` if there are none."""
         if not self.scores:
             raise InputError(f"no frame has a depth image in {topic} that was taken at its time")
         return {"topic": topic, **summary(list(self.scores.values()))}
 
     def timing(self) -> dict[str, Any]:
-        """Sum up how long it took, ready for JSON."""
+        """Summary of the times, ready for JSON."""
         rows = self._rows.values()
         stamps = [row["stamp_ns"] for row in rows]
         seconds = self._stop_s - self._start_s
@@ -167,9 +199,9 @@ class Record:
         }
 
     def _keep(
-        self, index: int, recorded: Recorded, result: ProcessedFrame, maps: DepthMaps
+        self, index: int, recorded: BagMessage, result: ProcessedFrame, maps: DepthMaps
     ) -> None:
-        """Keep a sample; every other one goes whenever there are too many."""
+        """Keep a sample; if there are too many, every other one is dropped."""
         picture, gamma = read_picture(recorded.data, self._type_name), self._gamma
         self.samples[index] = Sample(
             index,
@@ -187,7 +219,7 @@ class Record:
 
 
 def _shown(stored: NDArray, encoding: str, gamma: Gamma) -> FloatArray:
-    """Return stored pixels as linear light in the order red, green, blue, without alpha."""
+    """Linear light of stored pixels, in the order red, green, blue, without alpha."""
     pixels = stored[..., :3] if stored.ndim == 3 else stored
     return PixelFormat(gamma).light(pixels[..., ::-1] if encoding.startswith("bgr") else pixels)
 
