@@ -13,6 +13,7 @@ import numpy as np
 from coded_aperture_ros.bags.conversion import REPORT
 from coded_aperture_ros.bags.engine import WorkerLostError, in_order
 from coded_aperture_ros.bags.page import JSON, PAGE, html_page
+from coded_aperture_ros.bags.writing import describe_write_errors
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs
 
@@ -72,7 +73,16 @@ def convert_jobs(
         Worker processes with a bag each; 1: one bag after the other, in this process.
     client : distributed.Client, optional
         Of a Dask cluster, whose workers take the place of processes.
+
+    Raises
+    ------
+    InputError
+        If a folder of the results cannot be made.
     """
+    for folder in {job.target.parent for job in jobs}:
+        # Now: who makes a folder beside others would remove it again if its bag fails.
+        with describe_write_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
     taken = 0
     each = [(job, job) for job in jobs]
     steps = in_order(convert, each, processes=processes, window=len(each), client=client)

@@ -94,7 +94,7 @@ def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> Non
             raise InputError(f"{path} exists already: use another name, or --overwrite")
         if not (path / METADATA).is_file():
             raise InputError(f"{path} exists already and is no bag: it will not be overwritten")
-    with _writing(path), temporary_folder(path):
+    with describe_write_errors(path), temporary_folder(path):
         pass
 
 
@@ -115,7 +115,7 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
         If it cannot be written; nothing is left behind then.
     """
     check_rosbags()
-    with _writing(path), temporary_folder(path) as temporary:
+    with describe_write_errors(path), temporary_folder(path) as temporary:
         # Files of a bag are named like its folder.
         writer = BagWriter(temporary / path.name, storage)
         try:
@@ -131,7 +131,7 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
 
 
 @contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def describe_write_errors(path: Path) -> Iterator[None]:
     """Raise `InputError` in place of errors of files and of SQLite."""
     try:
         yield
