@@ -204,9 +204,10 @@ def generated(
         option(
             "--methods",
             "bank (not regularised), bank-tv and so on (see --regularize of the command depth), "
-            "plain-48 (bank with a bare window of 48 px), subspace (the thesis' own), simple and "
-            "simple-tv and so on (masks of a few equal holes), conditional (their data term in the "
-            "thesis), wiener, levin and other reference methods; an unknown name lists them all",
+            "plain-48 (bank with a bare window of 48 px), subspace (the thesis' own), two_pixel "
+            "and two_pixel-tv and so on (masks of a few equal holes), conditional (their data term "
+            "in the thesis), wiener, levin and other reference methods; an unknown name lists "
+            "them all",
             list(methods),
             metavar="METHOD",
         ),

@@ -35,7 +35,7 @@ ACCURACY = Group(
     suites={
         "stair": Entry("a stair of blur sizes, as in the thesis", "thesis.suites.stair"),
         "two-plane": Entry("two planes, one before the other", "suites.two_plane"),
-        "simple": Entry("planes behind masks of a few equal holes", "thesis.suites.simple"),
+        "two_pixel": Entry("planes behind masks of a few equal holes", "thesis.suites.two_pixel"),
         "scenes": Entry("ray-traced scenes with true depth", "suites.scenes"),
         "pictures": Entry("pictures with measured depth, behind many masks", "suites.pictures"),
         "video": Entry("videos with true depth, filtered over time", "suites.video"),

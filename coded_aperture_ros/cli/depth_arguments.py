@@ -17,8 +17,8 @@ EXAMPLES = """examples:
   a recorded video, each frame together with those before and after it:
     coded_aperture depth --bank bank.npz --temporal-frames 3 --look-ahead video.avi -o depth/
   a mask of a few equal holes, without a bank:
-    coded_aperture depth --method simple --camera config/example_camera.yaml \\
-        --depth-range 3.5 9 coded.png -o simple.npy
+    coded_aperture depth --method two_pixel --camera config/example_camera.yaml \\
+        --depth-range 3.5 9 coded.png -o two_pixel.npy
   two frames of one view, the second with the lens focused at 2 m:
     coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \\
         --refocused-frame refocused.png --refocused-to 2 -o depth.npy
@@ -103,6 +103,6 @@ RULES = (
     excludes(
         "--refocused-frame",
         *("--motion | --method motion", "--temporal-frames", "--as-levels", "--frame-scale"),
-        "--method simple",
+        "--method two_pixel",
     ),
 )

@@ -76,7 +76,7 @@ def make_pipeline(
             bank=bank,
             depth_range_m=args.depth_range,
             level_count=args.level_count,
-            simple=args.two_pixel,
+            two_pixel=args.two_pixel,
             motion=args.motions,
             progress=lambda vectors: progress(vectors, unit="motion"),
         )

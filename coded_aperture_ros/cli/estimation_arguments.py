@@ -8,7 +8,7 @@ from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
 from coded_aperture_ros.likelihood.choose import METHODS
 from coded_aperture_ros.likelihood.motion import MotionConfig
-from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
+from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 
 _MOTION = "--motion | --method motion"
 _OF_BANK = "a bank has its own, see learn"
@@ -31,8 +31,8 @@ class EstimationArguments(CameraArguments):
     """The method, what each of them needs, and what a gyroscope says of the motion."""
 
     method: str = argument(
-        "bank: a filter bank, for any mask; simple: a pixel and its neighbours, for a mask of 2 to "
-        "8 equal holes, from --camera and --depth-range alone; motion: bank with --motion",
+        "bank: a filter bank, for any mask; two_pixel: a pixel and its neighbours, for a mask of "
+        "2 to 8 equal holes, from --camera and --depth-range alone; motion: bank with --motion",
         "bank",
         choices=METHODS,
     )
@@ -40,7 +40,7 @@ class EstimationArguments(CameraArguments):
         "filter bank, see learn; needed with --method bank", None, written="--bank NPZ"
     )
     depth_range: tuple[float, float] | None = argument(
-        "with --method simple: depths that are told apart, m",
+        "with --method two_pixel: depths that are told apart, m",
         None,
         written="--depth-range NEAR FAR",
     )
@@ -56,25 +56,25 @@ class EstimationArguments(CameraArguments):
         "with --angular-velocity: exposure time, s", None, written="--exposure S", daily=False
     )
     level_count: int = argument(
-        "with --method simple: blur levels in the depth range",
+        "with --method two_pixel: blur levels in the depth range",
         DEFAULT_LEVEL_COUNT,
         written="--level-count N",
         minimum=2,
         daily=False,
     )
     estimation: DepthConfig = group("estimation", DepthConfig())
-    two_pixel: SimpleConfig = group("with --method simple", SimpleConfig())
+    two_pixel: TwoPixelConfig = group("with --method two_pixel", TwoPixelConfig())
     motions: MotionConfig = group("with --motion", MotionConfig())
 
 
 ESTIMATION_RULES = (
-    required("--bank", "--method simple"),
-    excludes("--motion", "--method simple"),
-    excludes("--bank", "--method simple", note="which has none"),
-    needs("--method simple", "--camera", "--depth-range"),
-    only_with("--depth-range", "--method simple", note="a bank has its own range"),
-    only_with("--level-count", "--method simple", note=_OF_BANK),
-    only_with("two_pixel.*", "--method simple", note=_OF_BANK),
+    required("--bank", "--method two_pixel"),
+    excludes("--motion", "--method two_pixel"),
+    excludes("--bank", "--method two_pixel", note="which has none"),
+    needs("--method two_pixel", "--camera", "--depth-range"),
+    only_with("--depth-range", "--method two_pixel", note="a bank has its own range"),
+    only_with("--level-count", "--method two_pixel", note=_OF_BANK),
+    only_with("two_pixel.*", "--method two_pixel", note=_OF_BANK),
     only_with("motions.*", _MOTION),
     only_with("--exposure", "--angular-velocity"),
     needs("--angular-velocity", _MOTION, "--camera", "--exposure"),

@@ -1,7 +1,7 @@
 """Which options need or exclude each other: a table for each command, checked in one place.
 
 A condition is an option that has another value than its default, ``--motion``, or one with a
-certain value, ``--method simple``. Alternatives are written ``--motion | --method motion``, what
+certain value, ``--method two_pixel``. Alternatives are written ``--motion | --method motion``, what
 must hold together ``--level-count & --remap``. A name that ends in ``.*``, such as ``two_pixel.*``,
 stands for every option of a group.
 """

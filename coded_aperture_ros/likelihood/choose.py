@@ -12,10 +12,10 @@ from coded_aperture_ros.likelihood.bank import (
     learn_bank_for_camera,
 )
 from coded_aperture_ros.likelihood.motion import MotionConfig, MotionModel, learn_motion_bank
-from coded_aperture_ros.likelihood.two_pixel import SimpleConfig, neighbour_model_for_camera
+from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig, two_pixel_model_for_camera
 from coded_aperture_ros.optics import Camera
 
-METHODS = ("bank", "simple", "motion")
+METHODS = ("bank", "two_pixel", "motion")
 
 
 def new_model(
@@ -26,7 +26,7 @@ def new_model(
     depth_range_m: tuple[float, float] | None = None,
     level_count: int = DEFAULT_LEVEL_COUNT,
     learn: LearnConfig | None = None,
-    simple: SimpleConfig | None = None,
+    two_pixel: TwoPixelConfig | None = None,
     motion: MotionConfig | None = None,
     progress: Progress = iter,
 ) -> LikelihoodModel:
@@ -34,7 +34,7 @@ def new_model(
 
     Parameters
     ----------
-    method : {"bank", "simple", "motion"}
+    method : {"bank", "two_pixel", "motion"}
         A filter bank, for any mask; a pixel and its neighbours, for a mask of two to eight equal
         holes; or a filter bank that tells blur by motion from blur by defocus.
     camera : Camera, optional
@@ -45,7 +45,7 @@ def new_model(
         Nearest and farthest depth, where no bank is given.
     level_count : int
         Blur levels in that range.
-    learn, simple, motion : LearnConfig, SimpleConfig, MotionConfig, optional
+    learn, two_pixel, motion : LearnConfig, TwoPixelConfig, MotionConfig, optional
         Settings of the methods.
     progress : callable, optional
         Wraps the iteration over motions, as ``tqdm.tqdm`` does.
@@ -57,13 +57,13 @@ def new_model(
     """
     if method not in METHODS:
         raise InputError(f"method: {method!r} is not one of {', '.join(METHODS)}")
-    if method == "simple" and bank is not None:
-        raise InputError("method: simple has no bank: leave the bank out")
+    if method == "two_pixel" and bank is not None:
+        raise InputError("method: two_pixel has no bank: leave the bank out")
     if bank is None:
         if camera is None or depth_range_m is None:
             raise InputError(f"method: {method} needs a bank, or a camera and a depth range")
-        if method == "simple":
-            return neighbour_model_for_camera(camera, *depth_range_m, level_count, simple)
+        if method == "two_pixel":
+            return two_pixel_model_for_camera(camera, *depth_range_m, level_count, two_pixel)
         bank = learn_bank_for_camera(camera, *depth_range_m, level_count, learn)
     if method == "bank":
         return bank

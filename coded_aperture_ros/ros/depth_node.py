@@ -45,7 +45,7 @@ from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_settings
 from coded_aperture_ros.likelihood.motion import MotionConfig
-from coded_aperture_ros.likelihood.two_pixel import SimpleConfig
+from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.intrinsics import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.camera_model import CameraModel
@@ -85,7 +85,7 @@ class DepthNodeConfig:
     )
     method: str = option(
         "bank",
-        "bank: a filter bank, for any mask; simple: a pixel and its neighbours, without a bank, "
+        "bank: a filter bank, for any mask; two_pixel: a pixel and its neighbours, without a bank, "
         "for a mask of 2 to 8 equal holes; motion: a bank, and blur by motion told from blur by "
         "defocus",
         choices=METHODS,
@@ -135,7 +135,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             DepthConfig(temporal_frames=VIDEO_FRAMES),
             MotionConfig(),
             GyroConfig(),
-            fixed={"learn.": LearnConfig(), "simple.": SimpleConfig()},
+            fixed={"learn.": LearnConfig(), "two_pixel.": TwoPixelConfig()},
             **node_options,
         )
         if warning := slow_blas_warning():
@@ -157,13 +157,13 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         """Load the camera file and load or learn the bank."""
         configs = self.configs
         self._range, method = configs[ModelConfig], configs[DepthNodeConfig].method
-        if method == "simple" and self._range.bank:
-            raise InputError("method: simple has no bank: leave the parameter bank empty")
+        if method == "two_pixel" and self._range.bank:
+            raise InputError("method: two_pixel has no bank: leave the parameter bank empty")
         make = functools.partial(
             new_model,
             method,
             learn=configs[LearnConfig],
-            simple=configs[SimpleConfig],
+            two_pixel=configs[TwoPixelConfig],
             motion=configs[MotionConfig],
         )
         self._model: FrameModel[LikelihoodModel] = FrameModel(self, configs, make)

@@ -450,12 +450,12 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
     assert (tmp_path / "scored" / "report" / "report.html").is_file()
 
 
-def test_the_simple_method_needs_no_bank(scene, recorded, tmp_path, capsys):
+def test_the_two_pixel_method_needs_no_bank(scene, recorded, tmp_path, capsys):
     from cli_scene import camera_file
 
     camera = camera_file(tmp_path, mask={"name": "two_hole"})
     bag = recorded(1)
-    arguments = ("bag", bag, "-o", tmp_path / "out", "--method", "simple", "--camera", camera)
+    arguments = ("bag", bag, "-o", tmp_path / "out", "--method", "two_pixel", "--camera", camera)
     result = call(capsys, *arguments, "--depth-range", 1.4, 4, "--level-count", 9, "--json")
     assert (result.status, result.err) == (0, "")
     assert json.loads(result.out)["used"] == 1

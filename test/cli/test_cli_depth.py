@@ -636,7 +636,7 @@ def test_a_camera_file_of_another_resolution(scene, tmp_path, capsys, bank, look
     assert relative_error(depths_m[camera], scene)[0] < 0.03
 
 
-def test_simple_masks_with_a_camera_file_of_another_resolution(scene, tmp_path, capsys):
+def test_two_pixel_method_with_a_camera_file_of_another_resolution(scene, tmp_path, capsys):
     frame, depths_m, mask = tmp_path / "coded.npy", [], {"name": "three_hole"}
     halves = {"focal_length_px": 200, "image_width": WIDTH // 2, "image_height": HEIGHT // 2}
     for changes in ({}, halves):
@@ -644,7 +644,7 @@ def test_simple_masks_with_a_camera_file_of_another_resolution(scene, tmp_path, 
         if not changes:
             arguments = ("--image", scene.sharp_file, "--depth", scene.depth_npy, "-o", frame)
             assert call(capsys, "simulate", "--camera", camera, *arguments).status == 0
-        options = ("--method", "simple", "--camera", camera, "--depth-range", 1.4, 4, frame)
+        options = ("--method", "two_pixel", "--camera", camera, "--depth-range", 1.4, 4, frame)
         assert call(capsys, "depth", *options, "-o", tmp_path / "d.npy").status == 0
         depths_m.append(np.load(tmp_path / "d.npy"))
     np.testing.assert_allclose(*depths_m, rtol=1e-5)
@@ -800,8 +800,8 @@ def test_a_camera_that_cannot_have_the_bank_s_blur_sizes(scene, tmp_path, capsys
         (("--regularize", "magic"), ["--regularize", "'magic' is not allowed", "graphcut"]),
         (("--gamma", "bright"), ["--gamma", "expected a number or srgb, got 'bright'"]),
         (("--gamma", 0), ["--gamma", "expected 0.1 to 10 or srgb"]),
-        (("--window-px", 64), ["--window-px: only with --method simple (a bank has its own"]),
-        (("--level-count", 8), ["--level-count: only with --method simple (a bank has its own"]),
+        (("--window-px", 64), ["--window-px: only with --method two_pixel (a bank has its own"]),
+        (("--level-count", 8), ["--level-count: only with --method two_pixel (a bank has its own"]),
         (("--finalists", 2), ["--finalists: only with --motion"]),
         (("--smoothness", 2), ["--smoothness: --regularize learned has none, use semiglobal"]),
         (("--smoothness", 2, "--regularize", "none"), ["--smoothness: --regularize none has"]),
@@ -825,10 +825,10 @@ def test_smoothness_counts_where_classical_regularisation_stands_in(scene, tmp_p
     assert not np.array_equal(*maps, equal_nan=True)
 
 
-@pytest.fixture(params=["bank", "motion", "simple"])
+@pytest.fixture(params=["bank", "motion", "two_pixel"])
 def method(request, scene, tmp_path, capsys):
     """Options for every method, and a frame that it can use."""
-    if request.param != "simple":
+    if request.param != "two_pixel":
         return ("--bank", scene.bank, *(FEW if request.param == "motion" else ()), scene.coded_npy)
     (tmp_path / "holes").mkdir()
     camera = camera_file(tmp_path / "holes", mask={"name": "three_hole"})
@@ -836,7 +836,7 @@ def method(request, scene, tmp_path, capsys):
     arguments = ("--image", scene.sharp_file, "--depth", scene.depth_npy, "-o", frame)
     assert call(capsys, "simulate", "--camera", camera, *arguments).status == 0
     depths = ("--depth-range", 1.4, 4, "--level-count", 16)
-    return ("--method", "simple", "--camera", camera, *depths, frame)
+    return ("--method", "two_pixel", "--camera", camera, *depths, frame)
 
 
 @pytest.mark.parametrize(("regularize", "frames"), list(product(REGULARIZERS, (0, 3))))
@@ -961,7 +961,7 @@ def test_look_ahead_names_a_bad_frame_and_finishes_those_before_it(scene, tmp_pa
     ("options", "phrase"),
     [
         (("--look-ahead",), "--look-ahead: needs --temporal-frames too"),
-        (("--motion", "--method", "simple"), "--motion: not with --method simple"),
+        (("--motion", "--method", "two_pixel"), "--motion: not with --method two_pixel"),
         (("--exposure", 0.01), "--exposure: only with --angular-velocity"),
         (
             ("--angular-velocity", 0, 1, 0),

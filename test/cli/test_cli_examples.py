@@ -93,7 +93,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)
     assert (tmp_path / "depth" / "first.npy").is_file()
     assert (tmp_path / "depth" / "video_000002.npy").is_file()
-    assert (tmp_path / "simple.npy").is_file()
+    assert (tmp_path / "two_pixel.npy").is_file()
     assert (tmp_path / "moving.motion.npy").is_file()
 
     deblur = examples(capsys, "deblur")

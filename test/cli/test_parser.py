@@ -236,24 +236,24 @@ def test_kinds_of_rules():
         "motion": Setting("--motion", True, False),
         "method": Setting("--method", "bank", "bank"),
         "threads": Setting("--threads", 0, False),
-        "simple.side": Setting("--side", 3, 2),
+        "two_pixel.side": Setting("--side", 3, 2),
     }
     rules = [
-        needs("--motion", "--method bank", "--method simple"),
-        only_with("--motion", "--method simple", note="it is slow"),
-        excludes("--motion", "--method simple", "--threads"),
-        excludes("simple.*", "--motion"),
-        required("--method simple"),
-        needs("--motion & --threads", "--method simple"),
-        only_with("--motion", "--method simple | --threads"),
+        needs("--motion", "--method bank", "--method two_pixel"),
+        only_with("--motion", "--method two_pixel", note="it is slow"),
+        excludes("--motion", "--method two_pixel", "--threads"),
+        excludes("two_pixel.*", "--motion"),
+        required("--method two_pixel"),
+        needs("--motion & --threads", "--method two_pixel"),
+        only_with("--motion", "--method two_pixel | --threads"),
     ]
     assert list(broken(rules, settings)) == [
-        "--motion: needs --method simple too",
-        "--motion: only with --method simple (it is slow)",
+        "--motion: needs --method two_pixel too",
+        "--motion: only with --method two_pixel (it is slow)",
         "--motion: not with --threads",
         "--side: not with --motion",
-        "required: --method simple",
-        "--motion with --threads: needs --method simple too",
+        "required: --method two_pixel",
+        "--motion with --threads: needs --method two_pixel too",
     ]
 
 

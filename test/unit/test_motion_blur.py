@@ -270,7 +270,7 @@ def test_the_program_estimates_and_removes_motion(moving_file, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--method", "simple", "--motion"), "--motion: not with --method simple"),
+        (("--method", "two_pixel", "--motion"), "--motion: not with --method two_pixel"),
         (("--bank", "b.npz", "--angular-velocity", 0, 0, 1), "needs --motion"),
         (("--bank", "b.npz", "--exposure", 1), "only with --angular-velocity"),
         (("--bank", "b.npz", "--motion", "--angular-velocity", 0, 0, 1), "needs --camera"),

@@ -22,10 +22,10 @@ from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.two_pixel import (
-    NeighbourModel,
-    SimpleConfig,
+    TwoPixelConfig,
+    TwoPixelModel,
     find_holes,
-    neighbour_model,
+    two_pixel_model,
 )
 from coded_aperture_ros.optics import PsfStack, load_mask
 
@@ -36,8 +36,8 @@ PLAIN = "plain-48"
 _PLAIN_WINDOW_PX = 48
 # The thesis' own method.
 SUBSPACE = "subspace"
-# The method for masks of a few equal holes; `simple-graphcut` and so on are regularised.
-SIMPLE = "simple"
+# The method for masks of a few equal holes; `two_pixel-graphcut` and so on are regularised.
+TWO_PIXEL = "two_pixel"
 # What the thesis has in its place.
 CONDITIONAL = "conditional"
 # The level of least cost, nothing else.
@@ -138,16 +138,16 @@ def is_bank(method: str) -> bool:
     return method.partition("-")[0] == BANK
 
 
-def is_simple(method: str) -> bool:
-    """Whether a method is that for simple masks, with or without regularisation."""
-    return method.partition("-")[0] == SIMPLE
+def is_two_pixel(method: str) -> bool:
+    """Whether a method is the two-pixel one, with or without regularisation."""
+    return method.partition("-")[0] == TWO_PIXEL
 
 
 def method_names() -> tuple[str, ...]:
     """Return the names of all methods."""
     ways = [how for how in regularizations() if how != "none"]
-    banks, simple = ((name, *(f"{name}-{how}" for how in ways)) for name in (BANK, SIMPLE))
-    return (*banks, PLAIN, SUBSPACE, *simple, CONDITIONAL, *REFERENCE_METHODS)
+    banks, two_pixel = ((name, *(f"{name}-{how}" for how in ways)) for name in (BANK, TWO_PIXEL))
+    return (*banks, PLAIN, SUBSPACE, *two_pixel, CONDITIONAL, *REFERENCE_METHODS)
 
 
 def identify(method: str, coded: NDArray[np.float32], noise: float, setting: Setting) -> Identified:
@@ -204,8 +204,8 @@ def _model(method: str, setting: Setting) -> LikelihoodModel:
     mask, levels = setting.mask, setting.levels
     if method == SUBSPACE:
         return _subspace_bank(mask, levels)
-    if is_simple(method):
-        return _neighbour_model(mask, levels, setting.window_px)
+    if is_two_pixel(method):
+        return _two_pixel_model(mask, levels, setting.window_px)
     window_px = _PLAIN_WINDOW_PX if method == PLAIN else setting.window_px
     return _bank(mask, levels, window_px, setting.rank)
 
@@ -222,8 +222,10 @@ def _bank(mask: str, levels: int, window_px: int, rank: int) -> FilterBank:
 
 
 @lru_cache(maxsize=4)
-def _neighbour_model(mask: str, levels: int, window_px: int) -> NeighbourModel:
-    return neighbour_model(_stack(mask, levels), load_mask(mask), SimpleConfig(window_px=window_px))
+def _two_pixel_model(mask: str, levels: int, window_px: int) -> TwoPixelModel:
+    return two_pixel_model(
+        _stack(mask, levels), load_mask(mask), TwoPixelConfig(window_px=window_px)
+    )
 
 
 @lru_cache(maxsize=2)

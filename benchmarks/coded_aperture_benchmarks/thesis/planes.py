@@ -1,4 +1,4 @@
-"""Planes at known blur sizes, one in every frame: what thesis 5.3.1 measures simple masks on."""
+"""Planes at known blur sizes, one in every frame, as in thesis 5.3.1."""
 
 import dataclasses
 
@@ -25,7 +25,7 @@ TABLE_5_1 = {
     "wiener": {"two_hole": 17.0, "three_hole": 17.0, "four_hole": 15.1},
     "gaussian": {"two_hole": 12.1, "three_hole": 15.2, "four_hole": 13.7},
     "levin": {"two_hole": 13.9, "three_hole": 15.2, "four_hole": 13.7},
-    "simple": {"two_hole": 8.7, "three_hole": 9.3, "four_hole": 8.7},
+    "two_pixel": {"two_hole": 8.7, "three_hole": 9.3, "four_hole": 8.7},
     "conditional": {"two_hole": 8.7, "three_hole": 9.3, "four_hole": 8.7},
 }
 

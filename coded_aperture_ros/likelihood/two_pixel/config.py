@@ -1,4 +1,4 @@
-"""Settings of the method for simple masks."""
+"""Settings of the two-pixel method."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ from coded_aperture_ros.core.options import check_options, option
 
 
 @dataclasses.dataclass(frozen=True)
-class SimpleConfig:
+class TwoPixelConfig:
     """Which neighbours and derivatives are compared, and over which window."""
 
     window_px: int = option(

@@ -1,4 +1,4 @@
-"""The equal openings of a simple mask, found from its pattern."""
+"""The equal openings of a mask, found from its pattern."""
 
 import dataclasses
 
@@ -50,12 +50,12 @@ def find_holes(mask: Mask) -> Holes:
     where = f"mask {mask.name}"
     if count < 2:
         raise InputError(
-            f"{where}: it has one opening, and the method for simple masks compares what several "
+            f"{where}: it has one opening, and the two-pixel method compares what several "
             f"equal ones show: {_USE_BANK}"
         )
     if count > _MOST_HOLES:
         raise InputError(
-            f"{where}: it has {count} openings, and the method for simple masks takes at most "
+            f"{where}: it has {count} openings, and the two-pixel method takes at most "
             f"{_MOST_HOLES}, as its work grows as the square of their number: {_USE_BANK}"
         )
     numbers = np.arange(1, count + 1)
@@ -72,8 +72,8 @@ def find_holes(mask: Mask) -> Holes:
     if difference[worst] > _DIFFERENCE:
         raise InputError(
             f"{where}: its {count} openings are not equal, opening {worst + 1} and the first "
-            f"differ by {100 * difference[worst]:.0f} % of their area, where the method for "
-            f"simple masks needs openings of one shape and size: {_USE_BANK}"
+            f"differ by {100 * difference[worst]:.0f} % of their area, where the two-pixel "
+            f"method needs openings of one shape and size: {_USE_BANK}"
         )
     extent = max(cells.shape)
     middle = (np.array(cells.shape) - 1) / 2

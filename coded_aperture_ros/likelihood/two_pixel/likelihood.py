@@ -33,8 +33,8 @@ _FATTENING = 1.8
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class NeighbourModel:
-    """What depth estimation needs to know of a simple mask; a `LikelihoodModel`.
+class TwoPixelModel:
+    """What depth estimation needs to know of a mask of equal openings; a `LikelihoodModel`.
 
     A pixel ``p`` of a high-pass channel and its neighbours on a line are a Gaussian vector ``v`` of
     n numbers (thesis eq. 5.9 to 5.11). Its covariance at level ``d`` is ``a S_d + s^2 N``: ``S_d``
@@ -78,7 +78,7 @@ class NeighbourModel:
         """See `LikelihoodModel`."""
         return _FATTENING
 
-    def for_view(self, camera: Camera | None) -> "NeighbourModel":
+    def for_view(self, camera: Camera | None) -> "TwoPixelModel":
         """Model itself: its PSFs are the same all over the image."""
         return self
 
@@ -86,11 +86,11 @@ class NeighbourModel:
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
     ) -> EngineLikelihood:
         """Plan for frames of one size; the processor computes, whatever the backend."""
-        engine = NeighbourEngine(self, shape, stride_px, threads)
+        engine = TwoPixelEngine(self, shape, stride_px, threads)
         return EngineLikelihood(engine, _WINDOW_CORRELATION)
 
 
-class NeighbourEngine:
+class TwoPixelEngine:
     """Computes the energies of every window of frames of one size; see `Engine`.
 
     The covariance of a channel at a lag is the mean, over a window, of the products of pixels that
@@ -102,7 +102,7 @@ class NeighbourEngine:
     name = "numpy"
 
     def __init__(
-        self, model: NeighbourModel, shape: tuple[int, ...], stride_px: int, threads: int = 1
+        self, model: TwoPixelModel, shape: tuple[int, ...], stride_px: int, threads: int = 1
     ) -> None:
         self._model = model
         self.grid = grid = PatchGrid.covering(shape, model.window_px, stride_px)
@@ -208,7 +208,7 @@ class NeighbourEngine:
     def _try_hypotheses(
         self, hypotheses: FloatArray, precision: FloatArray, start: int, thread: int
     ) -> None:
-        """Find the energies of some windows; see `NeighbourModel` for what they are."""
+        """Find the energies of some windows; see `TwoPixelModel` for what they are."""
         some = slice(start, min(start + _PATCHES, len(precision)))
         measured = self._covariances[:, some].copy()
         measured[:-1] *= precision[some]

@@ -8,10 +8,10 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS
 from coded_aperture_ros.likelihood.bank.learning import check_levels, psf_stack_for_camera
-from coded_aperture_ros.likelihood.two_pixel.config import SimpleConfig
+from coded_aperture_ros.likelihood.two_pixel.config import TwoPixelConfig
 from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
 from coded_aperture_ros.likelihood.two_pixel.holes import find_holes
-from coded_aperture_ros.likelihood.two_pixel.likelihood import BLOCK_PX, NeighbourModel
+from coded_aperture_ros.likelihood.two_pixel.likelihood import BLOCK_PX, TwoPixelModel
 from coded_aperture_ros.likelihood.two_pixel.lines import NeighbourLine, neighbour_lines
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
@@ -31,9 +31,9 @@ _JITTER = 1e-6
 _SMOOTHING = 2
 
 
-def neighbour_model_for_camera(
-    camera: Camera, near_m: float, far_m: float, levels: int, config: SimpleConfig | None = None
-) -> NeighbourModel:
+def two_pixel_model_for_camera(
+    camera: Camera, near_m: float, far_m: float, levels: int, config: TwoPixelConfig | None = None
+) -> TwoPixelModel:
     """Make the model of a camera's mask for a range of depths on its side of the focal plane.
 
     The levels, at least 2, are equally spaced in blur size. Raises `InputError` if the mask is not
@@ -42,21 +42,21 @@ def neighbour_model_for_camera(
     """
     check_levels(levels)
     find_holes(camera.mask)  # what is wrong with the mask comes first: no range helps it
-    stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the method for simple masks")
-    return neighbour_model(stack, camera.mask, config)
+    stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the two-pixel method")
+    return two_pixel_model(stack, camera.mask, config)
 
 
-def neighbour_model(
-    stack: PsfStack, mask: Mask, config: SimpleConfig | None = None
-) -> NeighbourModel:
-    """Make the model of a simple mask's blur levels.
+def two_pixel_model(
+    stack: PsfStack, mask: Mask, config: TwoPixelConfig | None = None
+) -> TwoPixelModel:
+    """Make the model of the blur levels.
 
     The stack has the PSFs of the mask, of at least two levels in order of size, all of one sign;
     the mask has two or more equal openings. Raises `InputError` if the mask has one opening or
     unequal ones, the levels are not in order or lie on both sides of the focal plane, or a PSF is
     larger than the window.
     """
-    config = config or SimpleConfig()
+    config = config or TwoPixelConfig()
     holes = find_holes(mask)
     _check(stack, config)
     lines = neighbour_lines(holes, float(np.abs(stack.blur_sizes_px).max()))
@@ -96,7 +96,7 @@ def neighbour_model(
                         weights[ratio, slope, level, channel, part] = (
                             _sums_of_lags(precision, line) / numbers
                         )
-    return NeighbourModel(
+    return TwoPixelModel(
         stack=stack,
         holes=holes,
         lines=tuple(lines),
@@ -140,7 +140,7 @@ def _sums_of_lags(precision: DoubleArray, line: NeighbourLine) -> DoubleArray:
     return sums
 
 
-def _check(stack: PsfStack, config: SimpleConfig) -> None:
+def _check(stack: PsfStack, config: TwoPixelConfig) -> None:
     if config.window_px % BLOCK_PX:
         below = config.window_px // BLOCK_PX * BLOCK_PX
         raise InputError(

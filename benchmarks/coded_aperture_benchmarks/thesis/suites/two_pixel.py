@@ -19,7 +19,7 @@ from coded_aperture_ros.likelihood.two_pixel import find_holes
 from coded_aperture_ros.optics import load_mask
 
 _REFERENCES = "references"
-_METHODS = (identification.SIMPLE, identification.CONDITIONAL, identification.BANK, _REFERENCES)
+_METHODS = (identification.TWO_PIXEL, identification.CONDITIONAL, identification.BANK, _REFERENCES)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +46,7 @@ def _cells(args: options.Args) -> list[Cell]:
         args.usage_error(f"--side: {args.side} px are less than the window of {args.window} px")
     options.check_masks(args)
     if any(
-        identification.is_simple(method) or method == identification.CONDITIONAL
+        identification.is_two_pixel(method) or method == identification.CONDITIONAL
         for method in methods
     ):
         for mask in args.masks:
@@ -102,7 +102,7 @@ def _thesis_error(cell: Cell) -> float | None:
     setting = cell.setting
     if (cell.texture, setting.sigma, setting.levels) != ("random", SIGMA, LEVELS):
         return None
-    method = identification.SIMPLE if identification.is_simple(cell.method) else cell.method
+    method = identification.TWO_PIXEL if identification.is_two_pixel(cell.method) else cell.method
     return TABLE_5_1.get(method, {}).get(setting.mask)
 
 
@@ -157,20 +157,20 @@ def _cell_text(row: Row) -> str:
 
 
 SUITE = Suite(
-    name="simple",
+    name="two_pixel",
     said=("images", "levels", "side", "window", "repeats", "seed", "known_noise"),
     description="Mean error, in levels, of the blur that is identified on textured planes, one "
     "in every frame, at 33 blur sizes from 7 to 30 px (M. Martinello, Coded Aperture Imaging, "
-    "PhD thesis, 2012, table 5.1), by the method for simple masks, its data term as the thesis "
+    "PhD thesis, 2012, table 5.1), by the two-pixel method, its data term as the thesis "
     "has it, the filter bank with a window of the same size, and reference methods.",
     examples="""examples:
   table 5.1 of the thesis, and natural texture; the reference methods take most of the time:
-    coded_aperture bench accuracy simple
+    coded_aperture bench accuracy two_pixel
   without them, with the windows that fit depth edges:
-    coded_aperture bench accuracy simple --methods simple bank --window 48
+    coded_aperture bench accuracy two_pixel --methods two_pixel bank --window 48
   at other noises, regularised:
-    coded_aperture bench accuracy simple --cases natural,0.0001 natural,0.005 \\
-        --methods simple-graphcut bank-graphcut
+    coded_aperture bench accuracy two_pixel --cases natural,0.0001 natural,0.005 \\
+        --methods two_pixel-graphcut bank-graphcut
 """,
     options=(
         options.masks("two_hole", "three_hole", "four_hole"),
@@ -179,8 +179,8 @@ SUITE = Suite(
         ),
         options.option(
             "--methods",
-            "simple, simple-tv and so on, conditional (the thesis' data term), bank and others as "
-            f"of the frames stair, or {_REFERENCES}: all reference methods",
+            "two_pixel, two_pixel-tv and so on, conditional (the thesis' data term), bank and "
+            f"others as of the frames stair, or {_REFERENCES}: all reference methods",
             list(_METHODS),
             metavar="METHOD",
         ),

@@ -1,4 +1,4 @@
-"""The method for simple masks in depth_node, over real DDS."""
+"""The two-pixel method in depth_node, over real DDS."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def parameters(folder, mask="two_hole", **changes):
     path.write_text(yaml.safe_dump({**CAMERA, "mask": {"name": mask}}))
     return {
         "camera_file": str(path),
-        "method": "simple",
+        "method": "two_pixel",
         "near_m": NEAR_M,
         "far_m": FAR_M,
         "learn.level_count": 12,
@@ -50,7 +50,7 @@ def test_a_frame_in_gives_depth_out(ros, tmp_path):
         ("levin", {}, "--method bank"),
         ("two_hole", {"bank": "bank.npz"}, "leave the parameter bank empty"),
         ("two_hole", {"near_m": 0.5}, "focus"),
-        ("two_hole", {"simple.window_px": 44}, "use 40 or 48"),
+        ("two_hole", {"two_pixel.window_px": 44}, "use 40 or 48"),
         ("two_hole", {"method": "simples"}, "method"),
     ],
 )

@@ -14,14 +14,14 @@ from scipy.signal import fftconvolve
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.two_pixel import (
-    SimpleConfig,
+    TwoPixelConfig,
     find_holes,
     neighbour_lines,
-    neighbour_model,
-    neighbour_model_for_camera,
+    two_pixel_model,
+    two_pixel_model_for_camera,
 )
 from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
-from coded_aperture_ros.likelihood.two_pixel.likelihood import NeighbourEngine
+from coded_aperture_ros.likelihood.two_pixel.likelihood import TwoPixelEngine
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
 BARE = DepthConfig(regularize="none", edge_correction=0.0, confidence_threshold=0.0, saturation=2.0)
@@ -77,7 +77,7 @@ def test_work_grows_with_the_pairs_of_holes_and_not_with_the_window(count, lines
         cells[row : row + 4, column : column + 4] = 1
     mask = Mask("scattered", cells)
     stack = blur_stack(mask, 4)
-    models = [neighbour_model(stack, mask, SimpleConfig(window_px=px)) for px in (48, 96)]
+    models = [two_pixel_model(stack, mask, TwoPixelConfig(window_px=px)) for px in (48, 96)]
     assert [len(model.lines) for model in models] == [lines, lines]
     assert len({model.derivatives * len(model.lags) for model in models}) == 1
 
@@ -124,9 +124,9 @@ def test_a_channel_passes_the_power_that_it_says(channel):
 
 def test_measured_covariances_are_the_mean_products_of_the_window():
     mask = Mask.named("three_hole")
-    model = neighbour_model(render_psf_stack(mask, [8.0, 12.0]), mask, SimpleConfig(window_px=32))
+    model = two_pixel_model(render_psf_stack(mask, [8.0, 12.0]), mask, TwoPixelConfig(window_px=32))
     grey = np.random.default_rng(0).random((80, 96), dtype=np.float32)
-    engine = NeighbourEngine(model, grey.shape, 16)
+    engine = TwoPixelEngine(model, grey.shape, 16)
     engine.project(grey)
     half = 16
     # What the widest kernel sees only in part does not count.
@@ -153,9 +153,9 @@ def test_measured_covariances_are_the_mean_products_of_the_window():
 
 def test_two_threads_and_another_window_grid_give_the_same_energies():
     mask = Mask.named("four_hole")
-    model = neighbour_model(blur_stack(mask, 6), mask, SimpleConfig(window_px=48))
+    model = two_pixel_model(blur_stack(mask, 6), mask, TwoPixelConfig(window_px=48))
     grey = texture(128, 176)
-    one, fine = NeighbourEngine(model, grey.shape, 16), NeighbourEngine(model, grey.shape, 4)
+    one, fine = TwoPixelEngine(model, grey.shape, 16), TwoPixelEngine(model, grey.shape, 4)
     for engine in (one, fine):
         engine.project(grey)
     # The windows of both lie at the same pixels, 16 and 4 apart.
@@ -165,7 +165,7 @@ def test_two_threads_and_another_window_grid_give_the_same_energies():
 
 
 def planes_error(mask, planes, levels, window_px):
-    model = neighbour_model(blur_stack(mask, levels), mask, SimpleConfig(window_px=window_px))
+    model = two_pixel_model(blur_stack(mask, levels), mask, TwoPixelConfig(window_px=window_px))
     estimator = DepthEstimator(model, BARE)
     inner = (slice(30, -30), slice(30, -30))
     estimates = [estimator.estimate(coded).level[inner] for coded in planes.coded]
@@ -177,7 +177,7 @@ def test_a_quarter_of_the_error_of_table_5_1(name):
     mask = Mask.named(name)
     planes = make_planes(mask, load_textures("random"), seed=3, side_px=112)
     error = planes_error(mask, planes, 33, 64)
-    assert error < TABLE_5_1["simple"][name] / 4
+    assert error < TABLE_5_1["two_pixel"][name] / 4
     assert error < 0.3
 
 
@@ -191,7 +191,7 @@ def test_fractional_disparities_are_told_apart():
     mask = Mask.named("two_hole")
     # A level is a fifth of a pixel of disparity.
     sizes = np.linspace(14, 16.6, 11)
-    model = neighbour_model(render_psf_stack(mask, sizes), mask, SimpleConfig(window_px=64))
+    model = two_pixel_model(render_psf_stack(mask, sizes), mask, TwoPixelConfig(window_px=64))
     estimator = DepthEstimator(model, BARE)
     sharp = load_textures("random").crops(1, 140, 140, np.random.default_rng(0))[0]
     for level in (2, 5, 8):
@@ -216,7 +216,7 @@ def test_the_data_term_of_the_thesis_finds_white_texture_behind_two_holes():
 
 def test_metric_depth_of_a_wall_and_the_same_confidence(tmp_path):
     camera = load_camera(camera_file(tmp_path, mask={"name": "two_hole"}))
-    model = neighbour_model_for_camera(camera, 1.6, 3.0, 12)
+    model = two_pixel_model_for_camera(camera, 1.6, 3.0, 12)
     estimator = DepthEstimator(model, DepthConfig(), camera)
     psf = render_psf(camera.mask, float(camera.blur_size_px(2.0)))
     coded = fftconvolve(texture(160, 200), psf, mode="valid").astype(np.float32)
@@ -245,7 +245,7 @@ def test_metric_depth_of_a_wall_and_the_same_confidence(tmp_path):
 def test_levels_that_cannot_be_are_refused(sizes, config, said):
     mask = Mask.named("two_hole")
     with pytest.raises(InputError, match=said):
-        neighbour_model(render_psf_stack(mask, sizes), mask, SimpleConfig(**config))
+        two_pixel_model(render_psf_stack(mask, sizes), mask, TwoPixelConfig(**config))
 
 
 def coded_file(folder):
@@ -257,7 +257,16 @@ def coded_file(folder):
 
 def test_command_line(tmp_path, capsys):
     camera = camera_file(tmp_path, mask={"name": "three_hole"})
-    options = ("--method", "simple", "--camera", camera, "--depth-range", 1.6, 3, "--level-count")
+    options = (
+        "--method",
+        "two_pixel",
+        "--camera",
+        camera,
+        "--depth-range",
+        1.6,
+        3,
+        "--level-count",
+    )
     output = tmp_path / "depth.npy"
     result = call(capsys, "depth", *options, 12, coded_file(tmp_path), "-o", output, "--json")
     assert result.status == 0, result.err
@@ -271,13 +280,17 @@ def test_command_line(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("arguments", "status", "said"),
     [
-        (("--method", "simple"), 2, "--camera"),
-        (("--method", "simple", "--camera", "CAMERA"), 2, "--depth-range"),
-        (("--method", "simple", "--bank", "b.npz"), 2, "--bank: not with --method simple"),
+        (("--method", "two_pixel"), 2, "--camera"),
+        (("--method", "two_pixel", "--camera", "CAMERA"), 2, "--depth-range"),
+        (("--method", "two_pixel", "--bank", "b.npz"), 2, "--bank: not with --method two_pixel"),
         ((), 2, "--bank"),
-        (("--bank", "b.npz", "--depth-range", 1, 2), 2, "only with --method simple"),
-        (("--method", "simple", "--camera", "LEVIN", "--depth-range", 1.6, 3), 1, "mask levin"),
-        (("--method", "simple", "--camera", "CAMERA", "--depth-range", 0.8, 3), 1, "focus at 1 m"),
+        (("--bank", "b.npz", "--depth-range", 1, 2), 2, "only with --method two_pixel"),
+        (("--method", "two_pixel", "--camera", "LEVIN", "--depth-range", 1.6, 3), 1, "mask levin"),
+        (
+            ("--method", "two_pixel", "--camera", "CAMERA", "--depth-range", 0.8, 3),
+            1,
+            "focus at 1 m",
+        ),
     ],
 )
 def test_command_line_refuses_in_one_line(tmp_path, capsys, arguments, status, said):
@@ -294,13 +307,13 @@ def test_command_line_refuses_in_one_line(tmp_path, capsys, arguments, status, s
 
 def test_benchmark_of_accuracy(capsys):
     options = ("--cases", "random,0.0001", "--masks", "two_hole", "--levels", 8, "--side", 96)
-    arguments = ("bench", "accuracy", "simple", *options, "--window", 48, "--jobs", 1)
-    result = call(capsys, *arguments, "--methods", "simple", "bank", "--json")
+    arguments = ("bench", "accuracy", "two_pixel", *options, "--window", 48, "--jobs", 1)
+    result = call(capsys, *arguments, "--methods", "two_pixel", "bank", "--json")
     assert result.status == 0, result.err
-    simple, bank = json.loads(result.out)["cells"]
-    assert (simple["method"], bank["method"]) == ("simple", "bank")
-    assert simple["mean_error"] < 0.5
-    assert simple["thesis_mean_error"] is None  # there are 33 levels in the thesis
-    assert "two_hole" in call(capsys, *arguments, "--methods", "simple").out
+    two_pixel, bank = json.loads(result.out)["cells"]
+    assert (two_pixel["method"], bank["method"]) == ("two_pixel", "bank")
+    assert two_pixel["mean_error"] < 0.5
+    assert two_pixel["thesis_mean_error"] is None  # there are 33 levels in the thesis
+    assert "two_hole" in call(capsys, *arguments, "--methods", "two_pixel").out
     assert call(capsys, *arguments, "--methods", "simples").status == 2
     assert "one opening" in call(capsys, *arguments, "--masks", "disc").err
