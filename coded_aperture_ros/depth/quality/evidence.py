@@ -26,17 +26,25 @@ from coded_aperture_ros.frames.patches import PatchGrid, mean_at
 from coded_aperture_ros.optics import PsfStack
 
 # Windows are chosen one to a cell of the frame, those with the most texture.
-_STRIDE_PX, _FEWEST = 8, 4
+_STRIDE_PX = 8
+_FEWEST = 4
 _BLUR_PX = 15
 _TOLERATED = 0.005
-# In hundredths of a unit of negative_log_likelihood: 1 is far more than chance for one window.
-_BETTER, _MOST, _EXTREME = 0.3, 6.0, 10.0
+# In hundredths of the negative log-likelihood: 1 is far more than chance for one window.
+_BETTER = 0.3
+_MOST = 6.0
+_EXTREME = 10.0
 _ABSENT = -2.0
 _LARGEST_RESIDUAL = 12.0
 _SIZE_UNIT_PX = 20.0
-_BANDS, _DIRECTIONS = (0.1, 0.2, 0.3, 0.4), 8
-_RINGS, _SECTORS = 12, 4
-_MAP_ROWS, _MAP_COLUMNS, _MAP_STEPS, _MAP_LEAST = 31, 15, 2.5, 30
+_BANDS = (0.1, 0.2, 0.3, 0.4)
+_DIRECTIONS = 8
+_RINGS = 12
+_SECTORS = 4
+_MAP_ROWS = 31
+_MAP_COLUMNS = 15
+_MAP_STEPS = 2.5
+_MAP_LEAST = 30
 # Frequencies' radius, vertical and horizontal part, and sector; and what is added up by ring, map.
 _At = tuple[DoubleArray, DoubleArray, DoubleArray, IndexArray]
 _Sums = tuple[DoubleArray, DoubleArray]

@@ -15,7 +15,8 @@ from coded_aperture_ros.depth.quality.spectra import quantiles
 from coded_aperture_ros.frames.noise import ALTERNATING, HALF_AS_FAST
 from coded_aperture_ros.optics import PsfStack
 
-SCHEMA, SCHEMA_VERSION = "coded-aperture check of fit", 1
+SCHEMA = "coded-aperture check of fit"
+SCHEMA_VERSION = 1
 # What a cause is called, what to say of it, and to do; in the order of the network's outputs.
 CAUSES = {
     "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
@@ -38,23 +39,31 @@ CAUSES = {
 FITS = 0.5
 # Confidence falls from the first health to the second, down to what is right by chance where frames
 # do not fit. It is about as often right as it says, over frames that fit and others.
-_TRUSTED, WITHHELD, _BY_CHANCE = 0.7, 0.2, 0.2
+_TRUSTED = 0.7
+WITHHELD = 0.2
+_BY_CHANCE = 0.2
 # What the network was trained for.
 LARGEST_PX = 22.5
-LIMIT, SCALED_LIMIT = 20.0, 5.0
+LIMIT = 20.0
+SCALED_LIMIT = 5.0
 _LAYERS = 3
 # Of the largest frames that the network has learned from: what smaller ones say is less certain.
 _USUAL_PIXELS = 288 * 288
-_LEAST_NOISE, _CLEANEST, _DITHER = 2e-4, 3e-4, 6e-4
-_UNSURE_PX, _FAR_PX = 4.0, 1.5
-_CONFIDENT, _SPARSE = 0.55, 3
+_LEAST_NOISE = 2e-4
+_CLEANEST = 3e-4
+_DITHER = 6e-4
+_UNSURE_PX = 4.0
+_FAR_PX = 1.5
+_CONFIDENT = 0.55
+_SPARSE = 3
 # What is left out on either side of the middle, as shares of the frame.
 _AROUND_MIDDLE = 0.3
 # At most so many windows along a side at the first look, which is enough where confidence is left
 # as it is, and at the second.
 _CELLS = 5, 10
 # Of a video, one frame in so many is looked at, and counts by this share.
-_EVERY, _OF_NEW = 4, 0.4
+_EVERY = 4
+_OF_NEW = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -237,10 +246,12 @@ def _health_of(outputs: FloatArray) -> Health:
 
 
 _USUAL_NOISE = 2e-3
-_NOISE_PX, _LEAST = 24, 2e-5
+_NOISE_PX = 24
+_LEAST = 2e-5
 _BLOCKS_PX = (8, 16)
 _CLIPPED = 0.985
-_BAND_PX, _BANDS = 48, 3
+_BAND_PX = 48
+_BANDS = 3
 
 
 def traces(grey: FloatArray, noise: float, known: float) -> list[float]:

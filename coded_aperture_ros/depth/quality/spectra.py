@@ -21,7 +21,8 @@ SLOPES = (2.0, 2.8)
 _CONTRASTS = 10.0 ** np.arange(6)
 _OWN_NOISE = 0.02
 # Texture is rendered four windows wide; its spectrum is spread by the window's over so many bins.
-_PERIOD, _REACH = 4 * WINDOW_PX, 10
+_PERIOD = 4 * WINDOW_PX
+_REACH = 10
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

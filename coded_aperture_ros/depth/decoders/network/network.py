@@ -98,8 +98,10 @@ WEIGHTS = "refinement.npz"
 NEIGHBOURS = 9
 # The first and last layer are run for so many blur sizes, or rows of cells, at a time: few large
 # calls, but not much more than a core's cache holds.
-_SIZES, _ROWS = 4, 16
-SCHEMA, SCHEMA_VERSION = "coded-aperture refinement network", 3
+_SIZES = 4
+_ROWS = 16
+SCHEMA = "coded-aperture refinement network"
+SCHEMA_VERSION = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

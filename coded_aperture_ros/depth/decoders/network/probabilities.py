@@ -12,8 +12,10 @@ from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_ce
 # The blur size is the mean over so many bins on either side of the likeliest.
 REACH = 2
 # Share of errors within one standard deviation, and the surest that this is taken from.
-_WITHIN_ONE, _SUREST = 0.68, 0.98
-_LOG_WIDTHS, _NEVER = (-4.0, 2.0), np.float32(1e-6)
+_WITHIN_ONE = 0.68
+_SUREST = 0.98
+_LOG_WIDTHS = (-4.0, 2.0)
+_NEVER = np.float32(1e-6)
 # Half-cells that are interpreted together: no more than a core's cache holds.
 _PLACES = 5376
 

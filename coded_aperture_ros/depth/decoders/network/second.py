@@ -12,7 +12,8 @@ from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_cells
 
 WEIGHTS = "second.npz"
-SCHEMA, SCHEMA_VERSION = "coded-aperture second surface network", 1
+SCHEMA = "coded-aperture second surface network"
+SCHEMA_VERSION = 1
 # Of every cell: logits of the blur sizes of the less and of the more blurred surface, of there
 # being two, and of the share of the former.
 CHANNELS = 2 * len(BLUR_SIZES_PX) + 2
