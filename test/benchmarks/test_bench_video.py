@@ -471,7 +471,7 @@ def test_real_videos_are_read(data_dir):
 
 
 def test_light_that_changes_in_a_video_is_measured(capsys, ray_traced, rgbd):
-    result = call_benchmarks(capsys, "fitting", ray_traced, rgbd, "--json")
+    result = call_benchmarks(capsys, "fitting", ray_traced, rgbd, "--jobs", 1, "--json")
     assert (result.status, result.err) == (0, "")
     results = json.loads(result.out)
     assert results["fitting"] == 2 * LENGTH

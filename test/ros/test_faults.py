@@ -20,8 +20,9 @@ from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.messages import image_from_array
 
-# After a fault has ended. Two seconds are promised, and `make soak` holds the nodes to it.
-GOES_ON_S = float(os.environ.get("GOES_ON_S", "30"))
+# After a fault has ended, on an idle machine. Two seconds are promised, and `make soak` holds the
+# nodes to it.
+GOES_ON_S = float(os.environ.get("GOES_ON_S", "10"))
 START_S = 30.0
 
 

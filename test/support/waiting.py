@@ -68,6 +68,12 @@ def stays_false(condition, seconds):
     return True
 
 
+def is_silent(received, seconds):
+    """Return whether nothing new comes for so many seconds, not scaled."""
+    count = len(received)
+    return stays_false(lambda: len(received) > count, seconds)
+
+
 def run_program(*command, timeout_s=60.0, check=False, **options):
     """Run a program to its end; return its status and, as text, what it wrote."""
     return subprocess.run(

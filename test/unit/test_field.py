@@ -162,7 +162,8 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     refused(call(capsys, *arguments, "--report", tmp_path / "0.png"), "0.png", "input")
     assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
     assert camera_from_mapping({**STRAIGHT_FILE, **printed}).field_curvature
-    monkeypatch.setattr("coded_aperture_ros.calibration.planes.wavefront._ROUNDS", 1)
+    for name, value in {"_ROUNDS": 1, "ROWS": 3, "COLUMNS": 4}.items():
+        monkeypatch.setattr(f"coded_aperture_ros.calibration.planes.wavefront.{name}", value)
     picture = tmp_path / "found/psfs.png"
     picture.parent.mkdir()
     wrong_usage(call(capsys, *arguments, "--picture", picture), "calibrate field", "--psfs")

@@ -237,11 +237,15 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     assert "stride of 24 px" in unsupported_reason(bank, 24)
     small = dataclasses.replace(bank, window_px=24)
     assert "window of 24 px" in unsupported_reason(small, 8)
-    coarse = learn_bank(render_psf_stack(camera.mask, np.linspace(2, 10, 9)))
+
+    def with_sizes(sizes_px):
+        return dataclasses.replace(bank, stack=render_psf_stack(camera.mask, sizes_px))
+
+    coarse = with_sizes(np.append(np.linspace(2, 9, bank.levels - 1), 10))
     assert "up to 1 px apart" in unsupported_reason(coarse, 8)
-    wide = learn_bank(render_psf_stack(camera.mask, np.linspace(4, 30, 53)))
+    wide = with_sizes(np.linspace(4, 30, bank.levels))
     assert "blur of 30 px" in unsupported_reason(wide, 8)
-    narrow = learn_bank(render_psf_stack(camera.mask, np.linspace(3.05, 3.2, 12)))
+    narrow = with_sizes(np.linspace(3.05, 3.2, bank.levels))
     assert "span 0.15 px" in unsupported_reason(narrow, 8)
     margin = np.pad(bank.stack.psfs, [(0, 0), (10, 10), (10, 10)])
     padded = dataclasses.replace(bank, stack=dataclasses.replace(bank.stack, psfs=margin))
