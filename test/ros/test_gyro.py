@@ -78,33 +78,41 @@ def test_what_was_said_before_time_went_back_does_not_count():
     assert gyro.expected(frame(0), GyroConfig(exposure_s=0.02), CAMERA).angle_rad is None
 
 
+def motion_node(ros, folder, **changes):
+    """Start a node that finds motion; return it, and the pixels of a frame for it."""
+    camera = folder / "camera.yaml"
+    camera.write_text(yaml.safe_dump(SMALL))
+    settings = {
+        "camera_file": str(camera),
+        "near_m": NEAR_M,
+        "far_m": FAR_M,
+        "method": "motion",
+        "learn.level_count": 6,
+        "learn.window_px": 32,
+        "learn.rank": 32,
+        "motion.directions": 2,
+        "motion.lengths": 2,
+        "motion.longest_px": 6.0,
+    }
+    pixels = pixels_from_frame(coded_wall(load_camera(camera)), "mono8")
+    return ros.make(DepthNode, settings | changes), pixels
+
+
+def send_frame(images, pixels, seconds):
+    header = Header()
+    header.stamp.sec = seconds
+    images.publish(image_from_array(pixels, "mono8", header))
+
+
 def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
-    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
-    small = {"motion.directions": 2, "motion.lengths": 2, "motion.longest_px": 6.0}
-    node = ros.make(
-        DepthNode,
-        {
-            "camera_file": str(tmp_path / "camera.yaml"),
-            "near_m": NEAR_M,
-            "far_m": FAR_M,
-            "learn.level_count": 6,
-            "learn.window_px": 32,
-            "learn.rank": 32,
-            "method": "motion",
-            "motion.exposure_s": 0.02,
-            **small,
-        },
-    )
+    node, pixels = motion_node(ros, tmp_path, **{"motion.exposure_s": 0.02})
     depths, motions = ros.subscribe("depth/image", Image), ros.subscribe("depth/motion", Image)
     images, imu = ros.publisher("image_raw", Image), ros.publisher("imu", Imu)
     assert wait_until(lambda: images.get_subscription_count() and imu.get_subscription_count())
-    pixels = pixels_from_frame(coded_wall(load_camera(tmp_path / "camera.yaml")), "mono8")
 
     def send(seconds):
         count = len(motions)
-        header = Header()
-        header.stamp.sec = seconds
-        images.publish(image_from_array(pixels, "mono8", header))
+        send_frame(images, pixels, seconds)
         assert wait_until(lambda: len(motions) > count)
         return node.identity()["motion"]
 
@@ -125,32 +133,13 @@ def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
 
 def test_motion_with_the_nearest_depth_where_it_is_unknown(ros, tmp_path):
     """The setting of a moving robot that must not run into anything."""
-    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(SMALL))
-    node = ros.make(
-        DepthNode,
-        {
-            "camera_file": str(tmp_path / "camera.yaml"),
-            "near_m": NEAR_M,
-            "far_m": FAR_M,
-            "method": "motion",
-            "confidence.unknown": "nearest",
-            "learn.level_count": 6,
-            "learn.window_px": 32,
-            "learn.rank": 32,
-            "motion.directions": 2,
-            "motion.lengths": 2,
-            "motion.longest_px": 6.0,
-        },
-    )
+    node, pixels = motion_node(ros, tmp_path, **{"confidence.unknown": "nearest"})
     depths, images = ros.subscribe("depth/image", Image), ros.publisher("image_raw", Image)
     assert wait_until(images.get_subscription_count)
-    pixels = pixels_from_frame(coded_wall(load_camera(tmp_path / "camera.yaml")), "mono8")
     for seconds, smoothness in ((10, 1.0), (11, 2.0)):
         setting = Parameter("motion.smoothness", value=smoothness)
         assert node.set_parameters([setting])[0].successful
-        header = Header()
-        header.stamp.sec = seconds
-        images.publish(image_from_array(pixels, "mono8", header))
+        send_frame(images, pixels, seconds)
         assert wait_until(lambda count=seconds - 9: len(depths) == count)
     assert node.statistics.summary().rejected == {}
     assert not np.isnan(array_from_image(depths[0])).any()

@@ -104,7 +104,7 @@ def test_the_bound_comes_as_points_too_as_the_lens_distorts(ros, model, coded):
     clouds = ros.subscribe("depth/free_points", PointCloud2)
     info = camera_info_from_camera(load_camera(model["camera_file"]), stamped())
     info.d = [-0.3, 0.1, 0.0, 0.0, 0.0]
-    chain.infos.publish(info)
+    chain.tell(info)
     bound = array_from_image(chain.result(mono8(coded), FREE_SPACE))
     assert wait_until(lambda: clouds)
     points = np.frombuffer(clouds[-1].data, np.float32).reshape(HEIGHT, WIDTH, 6)
