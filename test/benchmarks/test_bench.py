@@ -23,7 +23,7 @@ from cli_scene import (
 )
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, recorded
 from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS
-from coded_aperture_benchmarks.suites import datasheet, fitting, lens, pictures, scenes, trust
+from coded_aperture_benchmarks.suites import datasheet, fitting, lens, pictures, trust
 from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.thesis.suites.stair import lost_cells
 from waiting import output_of, run_program, run_python, wait_until
@@ -327,20 +327,20 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
     assert "worst first" in table.out
 
 
-RANDOM = ("bench", "accuracy", "scenes", "--size", "160x120", "--levels", 8, "--jobs", 1)
+RANDOM = ("bench", "accuracy", "scenes", "--size", "128x96", "--levels", 8, "--jobs", 1)
 
 
 def test_random_scenes_are_scored_one_by_one_and_together(capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
-    words = (*RANDOM, "--random", 12, "--masks", "levin", "zhou", "--regularize", "none")
+    words = (*RANDOM, "--random", 11, "--masks", "levin", "zhou", "--regularize", "none")
     results = json_of(capsys, *words)
     cells, shown = results["cells"], results["shown"]
-    assert len(cells) == 24
-    assert cells[0]["scene"] == "far 1000000" and cells[-1]["scene"] == "far 1000011"
-    together = [row for row in shown if row["frames"] == 12]
+    assert len(cells) == 22
+    assert cells[0]["scene"] == "far 1000000" and cells[-1]["scene"] == "far 1000010"
+    together = [row for row in shown if row["frames"] == 11]
     assert [(row["scene"], row["mask"]) for row in together] == [
-        ("12 far", "levin"),
-        ("12 far", "zhou"),
+        ("11 far", "levin"),
+        ("11 far", "zhou"),
     ]
     assert len(shown) == 2 + 20
     for row in together:
@@ -348,11 +348,11 @@ def test_random_scenes_are_scored_one_by_one_and_together(capsys):
         for name in ("within_10_percent", "delta_1.05"):
             mean = np.mean([part[name] for part in parts])
             assert row["dense"][name] == pytest.approx(mean, abs=1e-3)
-        assert row["dense"]["pixels"] == 12 * 160 * 120
+        assert row["dense"]["pixels"] == 11 * 128 * 96
         assert 0 < row["dense"]["std_dev"]["within_one"] < 1
         edges = sum(part["boundary"]["1"]["recall"] is not None for part in parts)
         assert edges > 6
-        # The best two of the twelve are not shown.
+        # The best of the eleven is not shown.
         worst = [
             each["dense"]["within_10_percent"]
             for each in shown
@@ -374,8 +374,8 @@ def test_rods_of_random_scenes_are_counted(capsys):
         parts = [cell["rods"][name] for cell in results["cells"]]
         assert width["pieces"] == sum(part["pieces"] for part in parts)
         assert width["found"] == sum(part["found"] for part in parts)
-    table = scenes.SUITE.text(results)
-    assert "rods 2-4" in table and "2 rods both" in table
+    table = call(capsys, *RANDOM, "--random", 2, "--rods", "--masks", "zhou").out
+    assert "rods 2-4" in table and "2 rods far" in table
 
 
 def test_rods_count_where_what_is_behind_is_clearly_farther():

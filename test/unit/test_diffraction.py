@@ -33,7 +33,7 @@ from coded_aperture_ros.simulation import render_coded_frame
 SQUARE = Mask("square", np.ones((1, 1)))
 
 
-def by_sums(mask, size_px, width_px, q, points=1600, per_px=40):
+def by_sums(mask, size_px, width_px, q, points=1600, per_px=64):
     """The diffraction integral as a plain sum over points of the mask, and of a pixel."""
     cells = np.kron(mask.transmission, np.ones((points // len(mask.transmission),) * 2))
     x = (np.arange(len(cells)) + 0.5) / len(cells) - 0.5
