@@ -142,7 +142,11 @@ def _parallel(processes: int, client: Any = None) -> Iterator[Any]:
         return
     client.wait_for_workers(1)
     with _naming_lost_workers(), parallel_config(backend="dask", client=client):
-        yield Parallel(n_jobs=-1, pre_dispatch="all", **options)
+        try:
+            parallel = Parallel(n_jobs=-1, pre_dispatch="all", **options)
+        except ValueError:  # joblib before 1.4 gives Dask's results all at the end
+            parallel = Parallel(n_jobs=-1, pre_dispatch="all", **options | {"return_as": "list"})
+        yield parallel
 
 
 @contextmanager
@@ -154,12 +158,13 @@ def _begun(
 
     results = parallel(delayed(work)(argument) for argument in arguments)
     try:
-        yield results
+        yield iter(results)
     finally:
-        with warnings.catch_warnings():
-            # It counts the tasks that are not finished.
-            warnings.simplefilter("ignore", UserWarning)
-            results.close()
+        if isinstance(results, Generator):
+            with warnings.catch_warnings():
+                # It counts the tasks that are not finished.
+                warnings.simplefilter("ignore", UserWarning)
+                results.close()
 
 
 @contextmanager
