@@ -1,5 +1,6 @@
 """What the tests share: the data folder, and a ROS network of their own."""
 
+import gc
 import os
 import signal
 import tempfile
@@ -104,6 +105,12 @@ def pytest_runtest_protocol(item):
     if item.config.getoption("timeout") is None:
         item.add_marker(pytest.mark.timeout(scaled(float(item.config.getini("timeout")))))
     return (yield)
+
+
+def pytest_collection_finish():
+    """Keep the garbage collector from looking through all that was imported, each time anew."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)

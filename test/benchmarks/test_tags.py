@@ -135,6 +135,7 @@ def test_the_range_is_the_longest_run_of_parts():
     assert [part_of(distance) for distance in (0.5, 0.6, 1.0, 1.7, 4.0)] == [0, 0, 2, 4, 4]
 
 
+@pytest.mark.slow
 def test_codes_are_read_from_every_frame(capsys, reader, tmp_path):
     pytest.importorskip("matplotlib")
     arguments = ("tags", "--scenes", 1, "--jobs", 1, "--electrons", 9000)
