@@ -18,7 +18,7 @@ class LikelihoodConfig:
     stride_px: int = option(
         0,
         "Distance between the patches whose depth is estimated; 0: as the bank says, which is 8 "
-        "up to a blur of 22 px, unless it was learned for a time per frame.",
+        "up to a blur of 22 px.",
         unit="px",
         within=(0, 64),
         parameter="compute.stride_px",
