@@ -2,6 +2,7 @@
 
 import argparse
 import dataclasses
+import inspect
 import textwrap
 import types
 from collections.abc import Mapping, Sequence
@@ -81,7 +82,7 @@ def fields_of(
     """
     hints = get_type_hints(arguments)
     found = []
-    owners = [vars(one).get("__annotations__", {}) for one in arguments.__mro__]
+    owners = [inspect.get_annotations(one) for one in arguments.__mro__]
     ordered = sorted(  # what a command shares with others comes after its own
         dataclasses.fields(arguments),
         key=lambda field: max(at for at, names in enumerate(owners) if field.name in names),
