@@ -1,5 +1,7 @@
 """PSFs as they are measured: pictures of dots, and files of PSFs."""
 
+from functools import cache
+
 import numpy as np
 
 from coded_aperture_ros.optics import Mask, render_psf_stack
@@ -18,12 +20,17 @@ def measured_file(path, depths=None, sizes=None, levels=3):
     return path
 
 
+@cache
+def _cells(mask):
+    return Mask.named(mask).transmission.astype(float)
+
+
 def point_image(mask, blur_size_px, down, right, width):
     """What `width` pixels a side record of a point at (down, right) px off the middle one.
 
     By differences of what lies left of each edge, apart from how the package does it.
     """
-    cells = Mask.named(mask).transmission.astype(float)
+    cells = _cells(mask)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
 
