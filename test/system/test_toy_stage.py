@@ -1,12 +1,14 @@
 """A feature is one file: a stage with a layer is a file, a topic, a panel, a line of a table."""
 
 import importlib
+import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
+from bag_scene import IMAGE, START_NS, decoded, floats, image, read, write_bag
 from cli_scene import call
 from ros_helpers import Ros
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
@@ -108,6 +110,20 @@ def test_layer_is_a_topic_of_the_node(toy_stage, files):
         assert received[0].encoding == "32FC1"
     finally:
         ros.close()
+
+
+def test_layer_is_a_topic_of_a_bag(toy_stage, files, capsys):
+    frame = image(np.load(files / "coded.npy"), "32FC1", 0)
+    bag = write_bag(files / "in", [("/eye/image_raw", IMAGE, START_NS, frame)])
+    model = ("--bank", files / "bank.npz", "--camera", files / "camera.yaml")
+    result = call(capsys, "bag", bag, "-o", files / "out", *model, "--deblur", "none", "--json")
+    assert result.status == 0, result.err
+    assert json.loads(result.out)["outputs"]["toy"] == "/eye/depth/toy"
+    messages = read(files / "out")
+    names = "/eye/depth/toy", "/eye/depth/confidence"
+    ((_, toy),), ((_, confidence),) = (decoded(messages, name) for name in names)
+    assert toy.header == confidence.header
+    assert np.allclose(floats(toy), floats(confidence) / 2)
 
 
 def test_layer_is_a_choice_of_the_viewer(toy_stage):
