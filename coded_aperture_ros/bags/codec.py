@@ -67,10 +67,8 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     """
     message = _read(data, type_name)
     if type_name == IMAGE:
-        encoding, mosaic = (
-            output_encoding(message.encoding),
-            parse_encoding(message.encoding).mosaic,
-        )
+        encoding = output_encoding(message.encoding)
+        mosaic = parse_encoding(message.encoding).mosaic
         return Picture(message.header, array_from_image(message), encoding, mosaic)
     pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
     lost = lost_by_compression(bytes(message.data))

@@ -18,8 +18,19 @@ _zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) els
 
 # What rosbags raises for files that a computer left behind when it lost its power.
 DAMAGE: tuple[type[BaseException], ...] = (
-    *(ReaderError, OSError, sqlite3.Error, _apsw.Error, struct.error, _zstd.ZstdError),
-    *(ValueError, TypeError, KeyError, IndexError, EOFError, AssertionError, RuntimeError),
+    ReaderError,
+    OSError,
+    sqlite3.Error,
+    _apsw.Error,
+    struct.error,
+    _zstd.ZstdError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    EOFError,
+    AssertionError,
+    RuntimeError,
 )
 
 

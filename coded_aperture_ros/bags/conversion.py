@@ -209,7 +209,8 @@ class BagConversion:
     def _results(
         self, bag: Bag, plan: "_Plan", target: Path, record: FrameLog, preparation_s: float
     ) -> dict[str, Any]:
-        view, references = plan.recipe.view, plan.references
+        view = plan.recipe.view
+        references = plan.references
         return {
             "input": str(bag.path),
             "output": str(target),

@@ -21,7 +21,10 @@ from coded_aperture_ros.bags.contents import BagMessage, Topic
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK = 0x03, 0x04, 0x05, 0x06
+_SCHEMA = 0x03
+_CHANNEL = 0x04
+_MESSAGE = 0x05
+_CHUNK = 0x06
 # The footer, the end of the data, and a hole in the file, filled with zeros.
 _ENDS = (0x02, 0x0F, 0x00)
 # Channel, number in the sequence, times of recording and sending; the data follows.
@@ -46,11 +49,15 @@ class CutMcap:
             body = io.BytesIO(content)
             if kind == _SCHEMA:
                 (number,) = struct.unpack("<H", body.read(2))
-                name, _, definition = read_string(body), read_string(body), read_string(body)
+                name = read_string(body)
+                read_string(body)  # encoding of the definition
+                definition = read_string(body)
                 schemas[number] = name, definition
             elif kind == _CHANNEL:
                 number, schema = struct.unpack("<HH", body.read(4))
-                name, _, metadata = read_string(body), read_string(body), read_bytes(body)
+                name = read_string(body)
+                read_string(body)  # encoding of the messages
+                metadata = read_bytes(body)
                 topics[number] = Topic(name, *schemas[schema], qos=tuple(get_qos(metadata)))
             elif kind == _MESSAGE:
                 counts[_MESSAGE_HEADER.unpack_from(content)[0]] += 1
@@ -86,7 +93,8 @@ def _records_of(path: Path) -> Iterator[tuple[int, bytes, int]]:
                     yield kind, content, file.tell()
                 continue
             records, complete = _unpacked(content, complete)
-            chunk, done = io.BytesIO(records), 0
+            chunk = io.BytesIO(records)
+            done = 0
             for inner_kind, inner, inner_complete in _row(chunk):
                 if inner_complete:
                     done = chunk.tell()
@@ -109,7 +117,8 @@ def _row(file: IO[bytes]) -> Iterator[tuple[int, bytes, bool]]:
 
 def _unpacked(chunk: bytes, complete: bool) -> tuple[bytes, bool]:
     """Records of a chunk; of a damaged one, those that are not compressed."""
-    compression, records = None, b""
+    compression = None
+    records = b""
     body = io.BytesIO(chunk)
     try:
         _, _, size, checksum = _CHUNK_HEADER.unpack(body.read(_CHUNK_HEADER.size))

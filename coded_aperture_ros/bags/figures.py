@@ -16,7 +16,8 @@ from coded_aperture_ros.io import confidence_picture, depth_picture, grey_pictur
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 
-_WIDTH_INCHES, _ROW_INCHES = 8.0, 1.7
+_WIDTH_INCHES = 8.0
+_ROW_INCHES = 1.7
 # Width of the pictures; full size would make the page several times as large.
 _PICTURE_PX = 320
 # Relative error that is drawn white.

@@ -76,7 +76,9 @@ class FrameLog:
     """
 
     def __init__(self, type_name: str, bits: int = 16, gamma: Gamma = 1.0) -> None:
-        self._type_name, self._bits, self._gamma = type_name, bits, gamma
+        self._type_name = type_name
+        self._bits = bits
+        self._gamma = gamma
         self.frames = 0
         self.faults: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
@@ -87,7 +89,8 @@ class FrameLog:
         self._spacing = 1
         self._start_s = time.perf_counter()
         self._stop_s = self._start_s
-        self._processor_s, self._own_start_s = 0.0, 0.0
+        self._processor_s = 0.0
+        self._own_start_s = 0.0
 
     def start(self) -> None:
         """Start the clock."""
@@ -202,7 +205,8 @@ class FrameLog:
         self, index: int, recorded: BagMessage, result: ProcessedFrame, maps: DepthMaps
     ) -> None:
         """Keep a sample; if there are too many, every other one is dropped."""
-        picture, gamma = read_picture(recorded.data, self._type_name), self._gamma
+        picture = read_picture(recorded.data, self._type_name)
+        gamma = self._gamma
         self.samples[index] = Sample(
             index,
             PixelFormat(gamma, self._bits, picture.mosaic).picture(picture.pixels),

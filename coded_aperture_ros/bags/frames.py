@@ -208,11 +208,13 @@ class FrameRecipe:
 
     def make(self) -> FrameProcessor:
         """Return a new processor; an `InputError` if the bank does not suit the frames."""
-        pipeline, view = self.new_pipeline(self.camera), self.view
+        pipeline = self.new_pipeline(self.camera)
+        view = self.view
         bank = bank_of(pipeline.estimator.model)
         if bank is not None:
             check_frame_size(bank, view.whole_width, view.whole_height)
-        camera, config = self.camera.for_view(view), pipeline.estimator.config
+        camera = self.camera.for_view(view)
+        config = pipeline.estimator.config
         if self.threads and not config.threads:
             config = dataclasses.replace(config, threads=self.threads)
         pipeline.reconfigure(camera=camera, depth=config)

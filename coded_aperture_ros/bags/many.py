@@ -41,7 +41,8 @@ class Job:
         """Whether the results are complete; an `InputError` if of another bag or settings."""
         if (found := self.report()) is None:
             return False
-        was, wanted = {**found, **found["settings"]}, {"input": str(self.source), **settings}
+        was = {**found, **found["settings"]}
+        wanted = {"input": str(self.source), **settings}
         if other := [f"{name} {was.get(name)}" for name in wanted if was.get(name) != wanted[name]]:
             what = f"{self.target} has results of {', '.join(other)}"
             raise InputError(f"{what}: use another folder, or --overwrite")

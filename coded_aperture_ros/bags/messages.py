@@ -60,7 +60,8 @@ def batches(
     """
     info = codec.camera_info_message(camera.intrinsics.for_view(view))
     copies: list[BagMessage] = []
-    waiting, frames = 0, 0
+    waiting = 0
+    frames = 0
     for message in bag.messages():
         copies.append(message)
         waiting += len(message.data)
@@ -69,7 +70,8 @@ def batches(
         is_frame = message.topic == image_topic
         if is_frame or waiting > _WAITING_BYTES:
             yield Batch(tuple(copies), frames if is_frame else None, info)
-            copies, waiting = [], 0
+            copies = []
+            waiting = 0
             frames += is_frame
     yield Batch(tuple(copies), None, info)
 

@@ -34,7 +34,8 @@ def open_parts(path: Path, files: list[Path]) -> tuple[list[Part], list[str]]:
     InputError
         If nothing in the bag can be read.
     """
-    damage, refused = [], ""
+    damage = []
+    refused = ""
     if path.is_file() or (path / METADATA).is_file():
         try:
             return [CompleteBag(path)], []

@@ -18,7 +18,8 @@ from coded_aperture_ros.bags.frame_log import FrameLog
 from coded_aperture_ros.depth.quality import CAUSES
 from coded_aperture_ros.metrics.reliability import Reliability
 
-PAGE, JSON = "report.html", "report.json"
+PAGE = "report.html"
+JSON = "report.json"
 _STYLE = """
 body { font: 15px/1.4 sans-serif; margin: 2em auto; max-width: 1020px; padding: 0 1em }
 table { border-collapse: collapse; margin: 1em 0 }
@@ -83,7 +84,8 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _facts(results: Mapping[str, Any]) -> dict[str, str]:
-    depth, reference = results["depth"], results["reference"]
+    depth = results["depth"]
+    reference = results["reference"]
     facts = {
         "frames": f"{results['frames']} of {results['topic']}, "
         f"{results['used']} with depth of {_size(results['depth_size'])}",
@@ -107,7 +109,8 @@ def _facts(results: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _times(results: Mapping[str, Any]) -> dict[str, str]:
-    timing, frames = results["timing"], results["frames"]
+    timing = results["timing"]
+    frames = results["frames"]
     facts = {
         "all frames": f"{timing['seconds']:.2f} s, {timing['frames_per_second']:.1f} a second, "
         f"on {timing['processors']} processor(s)",

@@ -35,7 +35,8 @@ class BagWriter:
 
     def add_topic(self, topic: Topic) -> None:
         """Add a topic; one without definition or hash of its type gets what is known of them."""
-        definition, type_hash = topic.definition, topic.type_hash
+        definition = topic.definition
+        type_hash = topic.type_hash
         if not (definition and type_hash):
             definition, type_hash = _known_type(topic)
         self._connections[topic.name] = self._writer.add_connection(

@@ -1,4 +1,4 @@
-"""Frames of a recorded bag, with the stamps that they have there."""
+"""Frames of a bag, with their stamps."""
 
 import os
 from collections.abc import Generator
@@ -13,11 +13,23 @@ from coded_aperture_ros.sources.source import Capture
 
 
 class BagSource(FileSource[tuple[int, BagMessage]]):
-    """The images of a topic of a bag, by default of the only one, or of `image_raw`.
+    """Images of a topic of a bag.
 
     The stamps are those of the messages, or, where a message has none, the times of their
-    recording; so with `loop` they jump back. Raises `InputError` if there is no such bag or topic,
-    or nothing in it can be read.
+    recording; so with `loop` they jump back.
+
+    Parameters
+    ----------
+    path : str or path
+    loop : bool, optional
+        Whether the first frame follows the last one.
+    topic : str, optional
+        By default the only one with images, or `image_raw`.
+
+    Raises
+    ------
+    InputError
+        If there is no such bag or topic, or nothing in it can be read.
     """
 
     def __init__(

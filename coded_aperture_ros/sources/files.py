@@ -14,7 +14,7 @@ from coded_aperture_ros.sources.source import Capture
 
 VIDEO_SUFFIXES = (".mp4", ".avi", ".mkv", ".mov", ".m4v", ".webm", ".mpg", ".mpeg", ".mjpeg")
 
-# Codes of codecs that lose nothing, and what the others lose at usual rates.
+# Codes of lossless codecs, and noise that the others hide at usual rates, in stored values.
 _LOSSLESS = (b"FFV1", b"HFYU", b"FFVH", b"LAGS", b"\0\0\0\0", b"DIB ", b"RAW ", b"I420", b"PNG ")
 _VIDEO_LOSS = 0.009
 
