@@ -27,8 +27,8 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs train train-blend train-check
-.PHONY: environment clean release-check
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs
+.PHONY: train train-blend train-second train-check environment clean release-check
 
 help: ## Show this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | \
@@ -84,57 +84,24 @@ endif
 endif
 test-oldest: ## Run every test with the oldest supported versions (those of Ubuntu 24.04)
 
-# 4,000 frames, 200 of them to look at; two processes at a time. It goes on where it stood.
+# What is made already is kept, and fitting goes on where it was stopped. SHARDS=8 MINUTES=5
+# TRAIN=build/short tries `train` and `train-blend` out.
 TRAIN ?= build/training
-SHARDS ?= 80
-MINUTES ?= 75
-WEIGHTS = $(notdir $(wildcard coded_aperture_ros/depth/decoders/network/refinement.*))
-TRAINING = PYTHONPATH=benchmarks OPENBLAS_NUM_THREADS=1 $(VENV)/bin/python training
-IN_TWO_PROCESSES = trap 'kill 0' INT; part() { $(TRAINING)/$(1) --shards $$1 $(SHARDS) 2; }; \
-	part 0 & first=$$!; part 1; second=$$?; wait $$first && exit $$second
-FIT = $(VENV)/bin/python training/fit.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
-	--minutes $(MINUTES) --shards 4 $(SHARDS) --validate 0 4 --least-told 0.15
-train: $(VENV)/finished-train ## Learn the refinement anew: scenes, costs, weights (build/training)
-	@$(call IN_TWO_PROCESSES,scenes.py --output $(TRAIN)/scenes)
-	@$(call IN_TWO_PROCESSES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
-	@$(FIT) --output $(TRAIN)/teacher --large
-	@$(FIT) --output $(TRAIN)/fit --teacher $(TRAIN)/teacher/state.pt
-	@$(VENV)/bin/python training/export.py --state $(TRAIN)/fit/state.pt -o $(TRAIN)/$(WEIGHTS)
-	@PYTHONPATH=benchmarks $(VENV)/bin/python training/quantise.py --scenes $(TRAIN)/scenes \
-		--costs $(TRAIN)/costs --shards 4 8 --network $(TRAIN)/$(WEIGHTS)
+TRAINING = PYTHONPATH=benchmarks $(VENV)/bin/python training/train.py
+TRAIN_OPTIONS = --folder $(TRAIN) $(if $(SHARDS),--shards 0 $(SHARDS)) \
+	$(if $(MINUTES),--minutes $(MINUTES))
+train: $(VENV)/finished-train ## Learn the refinement of depth anew (build/training)
+	@$(TRAINING) teacher data fit $(TRAIN_OPTIONS)
+	@$(TRAINING) refinement fit export quantise calibrate $(TRAIN_OPTIONS)
 
-# 3,000 frames, 50 of them to look at.
-train-blend: SHARDS = 120
-train-blend: MINUTES = 45
-train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew: pictures, weights
-	@$(call IN_TWO_PROCESSES,pictures.py --output $(TRAIN)/pictures)
-	@$(VENV)/bin/python training/blend_fit.py --pictures $(TRAIN)/pictures --output $(TRAIN)/blend \
-		--minutes $(MINUTES) --shards 2 $(SHARDS) --validate 0 2
-	@$(VENV)/bin/python training/blend_export.py --state $(TRAIN)/blend/state.pt \
-		-o $(TRAIN)/blend.npz
-	@$(VENV)/bin/python training/blend_quantise.py --pictures $(TRAIN)/pictures --shards 2 3 \
-		--network $(TRAIN)/blend.npz
+train-blend: $(VENV)/finished-train ## Learn the blend of deblurring anew
+	@$(TRAINING) blend data fit export quantise $(TRAIN_OPTIONS)
 
-# Scenes of all kinds: ordinary ones, rare ones, and nets, leaves and panes before rooms.
-OF_ALL_KINDS = "4 30" "84 106" "200 260"
-IN_TWO_RANGES = for pair in $(OF_ALL_KINDS); do set -- $$pair; \
-	$(TRAINING)/$(1) --shards $$1 $$2 2 & first=$$!; \
-	$(TRAINING)/$(1) --shards $$(($$1 + 1)) $$2 2 && wait $$first || exit 1; done
-train-second: MINUTES = 22
-train-second: $(VENV)/finished-train ## Learn anew what tells two surfaces: scenes, costs, weights
-	@$(call IN_TWO_RANGES,scenes.py --output $(TRAIN)/scenes)
-	@$(call IN_TWO_RANGES,costs.py --scenes $(TRAIN)/scenes --output $(TRAIN)/costs)
-	@$(call IN_TWO_RANGES,second_shown.py --scenes $(TRAIN)/scenes --costs $(TRAIN)/costs \
-		--output $(TRAIN)/second)
-	@PYTHONPATH=benchmarks $(VENV)/bin/python training/second_fit.py --shown $(TRAIN)/second \
-		--shards $(subst ",,$(OF_ALL_KINDS)) --validate 28 30 104 106 258 260 \
-		--minutes $(MINUTES) -o $(TRAIN)/second.npz
+train-second: $(VENV)/finished-train ## Learn anew what tells two surfaces
+	@$(TRAINING) second data fit export calibrate $(TRAIN_OPTIONS)
 
-train-check: OF_ALL_KINDS = "0 32" "200 216"
-train-check: $(VENV)/finished-train ## Learn anew whether frames fit: scenes, misfits, weights
-	@$(call IN_TWO_RANGES,scenes.py --output $(TRAIN)/scenes)
-	@$(call IN_TWO_RANGES,misfits.py --scenes $(TRAIN)/scenes --output $(TRAIN)/misfits)
-	@$(VENV)/bin/python training/misfits_fit.py --misfits $(TRAIN)/misfits -o $(TRAIN)/fit.npz
+train-check: $(VENV)/finished-train ## Learn anew whether frames fit
+	@$(TRAINING) check data fit export $(TRAIN_OPTIONS)
 
 environment: $(READY) ## Only make the virtual environment (.venv)
 

@@ -82,8 +82,12 @@ setup(
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
         "train": [
-            *("torch>=2.2", "onnx>=1.15", "onnxruntime>=1.17"),
-            *("scikit-image>=0.22", "scikit-learn>=1.4"),
+            "torch>=2.2",
+            "onnx>=1.15",
+            "onnxruntime>=1.17",
+            "joblib>=1.3",
+            "scikit-image>=0.22",
+            "scikit-learn>=1.4",
         ],
         # Completion by the tab key.
         "completion": ["argcomplete>=3"],

@@ -1,20 +1,14 @@
-"""What the network is shown of rendered frames: with noise, through the package's own likelihood.
+"""What the refinement is given of frames: with noise, through the package's own likelihood."""
 
-python training/costs.py --scenes DIR --output DIR --shards 0 40
-"""
-
-import argparse
 import dataclasses
-import os
-import tempfile
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
-from scenes import BLUR_STEP, FRAMES_PER_SHARD, LIGHT_STEP, drawn, mask_of
-from shards import add_shard_options, compute
+from banks import BankPair, kept_banks
+from scenes import SCENES, blur_px, frame_numbers, light_and_blur, mask_named, scene_plan
+from shards import Arrays, Data, stack
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
@@ -25,10 +19,9 @@ from coded_aperture_ros.depth.decoders.network.features import (
     frame_features,
     tried_sizes,
 )
-from coded_aperture_ros.depth.decoders.network.small import small_bank, small_cost
+from coded_aperture_ros.depth.decoders.network.small import small_cost
 from coded_aperture_ros.likelihood import bounded_cost
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
-from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.optics import render_psf_stack
 
 # Frames of one size have no more cells a side than this, whatever the window.
@@ -40,12 +33,13 @@ _BANK_SHARES = (0.32, 0.22, 0.22, 0.08, 0.1, 0.06)
 _BOTH_SIDES = ((48, 0.6), (48, 0.72))
 _BOTH_LARGEST_PX = 16.5
 # The share of frames from which weak texture is smoothed away, and up to what contrast.
-_SMOOTHED_SHARE, _SMOOTHED = 0.25, (0.003, 0.03)
+_SMOOTHED_SHARE = 0.25
+_SMOOTHED = (0.003, 0.03)
 
 
 @dataclasses.dataclass(frozen=True)
-class Seen:
-    """How a frame is recorded, and by which bank it is looked at."""
+class Recording:
+    """How a frame is recorded, and which bank is used for it."""
 
     bank: int
     noise: float
@@ -58,8 +52,8 @@ class Seen:
     added_up: float
 
 
-def seen(number: int, side: str) -> Seen:
-    """Return how frame `number` is seen; the same for the same number."""
+def recording_plan(number: int, side: str) -> Recording:
+    """How frame `number` is recorded; the same for the same number."""
     random = np.random.default_rng([8, number])
     bank = random.choice(len(_BANKS), p=_BANK_SHARES)
     if side == "both":
@@ -67,12 +61,12 @@ def seen(number: int, side: str) -> Seen:
     noise = float(np.exp(random.uniform(np.log(3e-4), np.log(5e-3))))
     if random.random() < 0.12:
         noise = 0.0
-    return Seen(
+    return Recording(
         bank=int(bank),
         noise=noise,
         gain=float(random.uniform(0, 4e-5)) if random.random() < 0.2 else 0.0,
         blur_px=float(random.uniform(0.15, 0.5)) if random.random() < 0.3 else 0.0,
-        smoothed=_smoothed(number),
+        smoothed=_smoothed_contrast(number),
         scale=float(random.normal(1, 0.006)),
         eight_bits=bool(random.random() < 0.1),
         known=bool(random.random() < 0.25),
@@ -80,8 +74,8 @@ def seen(number: int, side: str) -> Seen:
     )
 
 
-def _smoothed(number: int) -> float:
-    """Return what frame `number` is smoothed by: cameras take weak texture for noise."""
+def _smoothed_contrast(number: int) -> float:
+    """Contrast up to which frame `number` is smoothed: cameras take weak texture for noise."""
     random = np.random.default_rng([11, number])
     if random.random() > _SMOOTHED_SHARE:
         return 0.0
@@ -89,87 +83,99 @@ def _smoothed(number: int) -> float:
 
 
 @lru_cache(maxsize=256)
-def banks_of(mask: str, side: str, index: int, folder: Path) -> tuple[FilterBank, FilterBank]:
-    """Return a bank for all blur sizes, and that of small patches; kept in a folder."""
+def mask_banks(mask: str, side: str, index: int, folder: Path) -> BankPair:
+    """Banks of a mask for all blur sizes, kept in a folder."""
     both = side == "both"
-    name = f"{mask}_{'both' if both else 'one'}_{index}"
-    paths = folder / f"{name}.npz", folder / f"{name}_small.npz"
-    if not all(path.exists() for path in paths):
+
+    def learn() -> FilterBank:
         window, step = (_BOTH_SIDES if both else _BANKS)[index]
         # Spectra do not tell the sides: the levels of one serve both.
         sizes = np.arange(0, _BOTH_LARGEST_PX, step) if both else np.arange(0.9, _LARGEST_PX, step)
-        bank = learn_bank(render_psf_stack(mask_of(mask), sizes), LearnConfig(window_px=window))
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, one in zip(paths, (bank, small_bank(bank)), strict=True):
-            # Two processes may learn the same bank at once.
-            part = path.with_suffix(f".{os.getpid()}.npz")
-            save_bank(one, part)
-            part.rename(path)
-    bank, small = (load_bank(path) for path in paths)
-    return bank, small
+        psfs = render_psf_stack(mask_named(mask), sizes)
+        return learn_bank(psfs, LearnConfig(window_px=window))
+
+    found = kept_banks(f"{mask}_{'both' if both else 'one'}_{index}", folder, learn)
+    assert found is not None
+    return found
 
 
-def recorded(light: np.ndarray, how: Seen, number: int) -> np.ndarray:
-    """Return the frame with the noise and the flaws of a camera."""
+def recorded(light: np.ndarray, plan: Recording, number: int) -> np.ndarray:
+    """Frame with the noise and the flaws of a camera, float32 [height, width]."""
     random = np.random.default_rng([9, number])
-    if how.blur_px:
-        light = cv2.GaussianBlur(light, (0, 0), how.blur_px)
-    if how.smoothed:
-        light = cv2.bilateralFilter(light, 7, how.smoothed, 1.5)
-    noise = np.sqrt(how.noise**2 + how.gain * light)
+    if plan.blur_px:
+        light = cv2.GaussianBlur(light, (0, 0), plan.blur_px)
+    if plan.smoothed:
+        light = cv2.bilateralFilter(light, 7, plan.smoothed, 1.5)
+    noise = np.sqrt(plan.noise**2 + plan.gain * light)
     frame = light + noise * random.standard_normal(light.shape, dtype=np.float32)
-    if how.eight_bits:
+    if plan.eight_bits:
         frame = np.rint(frame * 255) / 255
     return frame.astype(np.float32)
 
 
-def shown(
+def network_inputs(
     number: int,
     light: np.ndarray,
-    blur_px: np.ndarray,
+    true_px: np.ndarray,
     folder: Path,
     near_px: np.ndarray | None = None,
-) -> dict[str, Any]:
-    """Return what the network is shown of frame `number`; `near_px` is that of something before."""
-    what = drawn(number)
-    how = seen(number, what.side)
+) -> Arrays:
+    """What the refinement is given of frame `number`.
+
+    Parameters
+    ----------
+    number : int
+    light, true_px : ndarray [height, width]
+        See `light_and_blur`.
+    folder : Path
+        Banks are kept there.
+    near_px : ndarray or None
+        Blur sizes of something before a room, which the bank has to hold as well.
+
+    Returns
+    -------
+    dict of str to ndarray
+        `costs` and `frame`, float16, padded to `CELLS` a side; `tried`, which of the blur sizes
+        there are costs of; `corner`, first row and column of the cells; `told`, share of the
+        patches that the costs tell about rightly.
+    """
+    scene = scene_plan(number)
+    how = recording_plan(number, scene.side)
     frame = recorded(light, how, number)
-    banks = banks_of(what.mask, what.side, how.bank, folder)
-    all_px = blur_px if near_px is None else np.stack([blur_px, near_px])
-    keep = _levels_kept(banks[0].blur_sizes_px, all_px, number)
-    bank, bank_of_small = (with_levels(each, keep) for each in banks)
+    banks = mask_banks(scene.mask, scene.side, how.bank, folder)
+    all_px = true_px if near_px is None else np.stack([true_px, near_px])
+    banks = banks.with_levels(_kept_levels(banks.bank.blur_sizes_px, all_px, number))
     noise = max(np.hypot(how.noise, 0.0011 * how.eight_bits), 2e-4) if how.known else 0.0
-    estimator = DepthEstimator(bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
+    estimator = DepthEstimator(banks.bank, DepthConfig(noise=float(noise), regularize="semiglobal"))
     work = estimator.run_front(frame)
     observed, cost = work.observation, work.frame_cost
     estimator.close()
     volume = cost.volume
     if how.added_up:
         volume = bounded_cost(volume) * np.float32(how.added_up)
-    small = bank_of_small.plan(frame.shape, CELL_PX)
+    small = banks.small.plan(frame.shape, CELL_PX)
     of_small = small_cost(small, observed, observed.grey, observed.noise.deviation)
-    looks = PatchScale.of(cost, observed.grid, volume), PatchScale.of(of_small, small.grid)
+    scales = PatchScale.of(cost, observed.grid, volume), PatchScale.of(of_small, small.grid)
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)
     around = LocalContext.of(observed.grey, observed.noise.typical)
-    sizes = bank.blur_sizes_px * how.scale
-    near = {"far": 0.0, "near": 1.0, "both": 0.5}[what.side]
-    grid = observed.grid
-    truth = grid.at_centres(blur_px)
+    sizes = banks.bank.blur_sizes_px * how.scale
+    near = {"far": 0.0, "near": 1.0, "both": 0.5}[scene.side]
+    truth = observed.grid.at_centres(true_px)
     about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
-        "costs": _whole(cost_features(looks, around, cells, sizes, near), CELLS),
-        "frame": _whole(frame_features(around, cells), 2 * CELLS),
+        "costs": _padded(cost_features(scales, around, cells, sizes, near), CELLS),
+        "frame": _padded(frame_features(around, cells), 2 * CELLS),
         "tried": tried_sizes(sizes),
         "corner": np.array([cells.top, cells.left], np.int32),
         "told": np.float32(about.mean()),
     }
 
 
-def _levels_kept(sizes: np.ndarray, blur_px: np.ndarray, number: int) -> np.ndarray:
-    """Return which levels a bank for about the scene's depth range has."""
+def _kept_levels(sizes: np.ndarray, true_px: np.ndarray, number: int) -> np.ndarray:
+    """Levels that a bank for about the scene's depth range has."""
     random = np.random.default_rng([10, number])
-    low, high = np.nanmin(blur_px), np.nanmax(blur_px)
+    low, high = np.nanmin(true_px), np.nanmax(true_px)
     ends = np.array([low, high]) + random.exponential(1.0, 2) * [-1, 1]
     if random.random() < 0.3:
         ends += [-8, 8]
@@ -177,67 +183,29 @@ def _levels_kept(sizes: np.ndarray, blur_px: np.ndarray, number: int) -> np.ndar
     return np.flatnonzero(kept) if kept.sum() >= 8 else np.arange(len(sizes))
 
 
-def with_levels(bank: FilterBank, kept: np.ndarray) -> FilterBank:
-    """Return a bank with some of its levels."""
-    stack = bank.stack
-    return dataclasses.replace(
-        bank,
-        stack=dataclasses.replace(
-            stack, blur_sizes_px=stack.blur_sizes_px[kept], psfs=stack.psfs[kept]
-        ),
-        coefficients=bank.coefficients[..., kept],
-        log_determinants=bank.log_determinants[..., kept],
-    )
-
-
-def _whole(values: np.ndarray, side: int) -> np.ndarray:
-    """Pad the last two axes to a common size by the outermost values."""
+def _padded(values: np.ndarray, side: int) -> np.ndarray:
+    """Values with the last two axes padded to a common size by the outermost ones; float16."""
     margins = [(0, 0)] + [(0, side - length) for length in values.shape[-2:]]
     return np.pad(values, margins, mode="edge").astype(np.float16)
 
 
-def shown_shard(
-    shard: int,
-    light: np.ndarray,
-    blur: np.ndarray,
-    folder: Path | None,
-    near: np.ndarray | None = None,
-) -> dict[str, np.ndarray]:
-    """Return what the network is shown of all frames of a shard, stacked."""
-    folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
-    each = []
-    for index, (frame, sizes) in enumerate(zip(light, blur, strict=True)):
-        blur_px = np.abs(sizes * np.float32(BLUR_STEP))
-        blur_px[sizes == 0] = np.nan  # seams between two surfaces
-        number = shard * FRAMES_PER_SHARD + index
-        near_px = None if near is None else np.abs(near[index] * np.float32(BLUR_STEP))
-        each.append(shown(number, frame * np.float32(LIGHT_STEP), blur_px, folder, near_px))
-    return {name: np.stack([one[name] for one in each]) for name in each[0]}
+def on_all_cells(values: np.ndarray, corner: np.ndarray, fill: float) -> np.ndarray:
+    """Map of a frame at every pixel of its cells, float32; filled beyond the frame."""
+    whole = np.full((CELLS * CELL_PX,) * 2, fill, np.float32)
+    top, left = corner
+    within = whole[-top:, -left:][: values.shape[0], : values.shape[1]]
+    within[:] = values[: within.shape[0], : within.shape[1]]
+    return whole
 
 
-def main() -> None:
-    """Compute the shards that are not there yet, of the scenes that are."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=Path, required=True)
-    add_shard_options(parser)
-    args = parser.parse_args()
-    # Other machines keep the banks that they learn to themselves.
-    folder = None if args.scheduler else args.output / "banks"
-
-    def read(shard: int, source: Path) -> tuple[int, np.ndarray, np.ndarray, Path | None]:
-        with np.load(source) as scenes:
-            return shard, scenes["light"], scenes["blur"], folder, scenes.get("near")
-
-    tasks = [
-        (args.output / f"costs_{shard:04d}.npz", partial(read, shard, source))
-        for shard in range(*args.shards)
-        if (source := args.scenes / f"scenes_{shard:04d}.npz").exists()
-    ]
-    compute(shown_shard, tasks, ("shards.py", "scenes.py", "costs.py"), args.scheduler)
+def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arrays:
+    scenes = sources["scenes"]
+    frames = []
+    for index, number in enumerate(frame_numbers(shard)):
+        near_px = blur_px(scenes["near"][index]) if "near" in scenes else None
+        light, true_px = light_and_blur(scenes, index)
+        frames.append(network_inputs(number, light, true_px, folder, near_px))
+    return stack(frames)
 
 
-if __name__ == "__main__":
-    # Workers know the functions of modules, not those of this program.
-    from costs import main
-
-    main()
+COSTS = Data("costs", _compute_shard, (SCENES,), ("scenes", "banks", "costs"))

@@ -1,20 +1,15 @@
-"""What the blend learns from: random scenes as hypotheses of deblurring, and as sharp pictures.
+"""What the blend learns from: random scenes as hypotheses of deblurring, and as sharp pictures."""
 
-python training/pictures.py --output DIR --shards 0 40
-"""
-
-import argparse
 import dataclasses
-import tempfile
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
-from costs import banks_of, recorded, seen
-from scenes import FRAME_PX, drawn, mask_of
-from shards import add_shard_options, compute
+from costs import mask_banks, recorded, recording_plan
+from scenes import FRAME_PX, mask_named, scene_plan, uneven_mask
+from shards import Arrays, Data, stack
 
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend.features import (
@@ -27,7 +22,7 @@ from coded_aperture_ros.deblur.blend.hypotheses import InverseHypotheses, hypoth
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import KnownNoise, channel_noise
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
 FRAMES_PER_SHARD = 25
@@ -39,17 +34,21 @@ DEPTHS = 2
 _RANK = 10
 # How often the learned decision estimates the depth, and not the semiglobal one.
 _LEARNED_SHARE = 0.75
-_WORSE_SHARE, _HOLES_SHARE = 0.65, 0.3
+_WORSE_SHARE = 0.65
+_HOLES_SHARE = 0.3
 # Squares of wrong blur: their side, and about how much of the map they cover.
-_SQUARE_PX, _SQUARES_COVER = 12, 0.03
+_SQUARE_PX = 12
+_SQUARES_COVER = 0.03
 # Errors without an edge, and holes, are random numbers at so many places a side, enlarged. There
 # are holes where they are above a limit, in standard deviations.
-_ROUGH_SIDE, _HOLES_SIDE, _HOLES_ABOVE = 24, 12, 1.2
+_ROUGH_SIDE = 24
+_HOLES_SIDE = 12
+_HOLES_ABOVE = 1.2
 
 
 @dataclasses.dataclass(frozen=True)
 class Camera:
-    """What looks at frames through one mask, on one side of the plane in focus.
+    """Estimators and inverse filters of one mask, on one side of the plane in focus.
 
     Attributes
     ----------
@@ -66,21 +65,21 @@ class Camera:
 
 
 @lru_cache(maxsize=24)
-def camera_of(mask: str, side: str, bank: int, folder: Path) -> Camera:
-    """Return the camera with a mask and one of the banks, which are kept in a folder."""
-    of_side = banks_of(mask, side, bank, folder)[0]
+def mask_camera(mask: str, side: str, index: int, folder: Path) -> Camera:
+    """Camera with a mask and one of its banks, which are kept in a folder."""
+    bank = mask_banks(mask, side, index, folder).bank
     sign = -1.0 if side == "near" else 1.0
     estimators = {
-        name: DepthEstimator(of_side, DepthConfig(regularize=name))
+        name: DepthEstimator(bank, DepthConfig(regularize=name))
         for name in ("learned", "semiglobal")
     }
     # Spectra do not tell the sides, pictures do.
-    stack = render_psf_stack(mask_of(mask), sign * of_side.blur_sizes_px)
-    return Camera(estimators, InverseHypotheses(stack, _RANK, Workers()), sign)
+    psfs = render_psf_stack(mask_named(mask), sign * bank.blur_sizes_px)
+    return Camera(estimators, InverseHypotheses(psfs, _RANK, Workers()), sign)
 
 
-def list_pictures(number: int, folder: Path) -> dict[str, np.ndarray]:
-    """Return frame `number` as the network is shown it, for each of the `DEPTHS`.
+def picture_arrays(number: int, folder: Path) -> Arrays:
+    """Frame `number` as the network is given it, for each of the `DEPTHS`.
 
     All but the noise is in cells; `mean_and_contrast` says what mean is taken away from them, and
     what they are divided by.
@@ -94,40 +93,36 @@ def list_pictures(number: int, folder: Path) -> dict[str, np.ndarray]:
         scale : float32 [DEPTHS, rows, columns], linear light
         noise : float32 [DEPTHS], its standard deviation, linear light
     """
-    what = drawn(number)
-    if what.side == "both":
-        what = dataclasses.replace(what, side="far")
+    plan = scene_plan(number)
+    if plan.side == "both":
+        plan = dataclasses.replace(plan, side="far")
     random = np.random.default_rng([21, number])
-    mask = mask_of(what.mask)
-    scene = random_scene(what.seed, mask, what.side, (FRAME_PX, FRAME_PX))
-    light = scene.coded(_cut(mask, random))
+    mask = mask_named(plan.mask)
+    scene = random_scene(plan.seed, mask, plan.side, (FRAME_PX, FRAME_PX))
+    light = scene.coded(uneven_mask(mask, random.uniform(0, 0.05), random))
     # What a camera does to weak texture and to dark areas cannot be undone.
-    how = seen(number, what.side)
+    how = recording_plan(number, plan.side)
     how = dataclasses.replace(how, smoothed=0.0, eight_bits=False, gain=0.0)
     frame = recorded(light, how, number)
-    camera = camera_of(what.mask, what.side, how.bank, folder)
+    camera = mask_camera(plan.mask, plan.side, how.bank, folder)
     learned = random.random() < _LEARNED_SHARE
     estimator = camera.estimators["learned" if learned else "semiglobal"]
     true = filled_blur_map(scene.blur_size_px().astype(np.float32), frame)
     estimated = estimator.estimate(frame).blur_size_px * np.float32(camera.sign)
     sharp = pack_cells(scene.all_in_focus()[None])
-    shown = [
-        _shown(frame, sharp, blur if np.isfinite(blur).any() else true, camera)
-        for blur in (estimated, _measured(true, random))
-    ]
-    return _stacked(shown)
+    maps = (estimated, measured_blur(true, random))
+    return stack(
+        [
+            _network_inputs(frame, sharp, blur if np.isfinite(blur).any() else true, camera)
+            for blur in maps
+        ]
+    )
 
 
-def _cut(mask: Mask, random: np.random.Generator) -> Mask:
-    """Return a mask as it is cut or printed: a little different from what the bank believes."""
-    uneven = 1 + random.uniform(0, 0.05) * random.standard_normal(mask.transmission.shape)
-    return Mask(mask.name, np.clip(mask.transmission * uneven, 0, 1).astype(np.float32))
-
-
-def _shown(
+def _network_inputs(
     frame: np.ndarray, sharp: np.ndarray, blur_px: np.ndarray, camera: Camera
-) -> dict[str, np.ndarray]:
-    """Return what the network is shown of a frame with a blur map that may have holes."""
+) -> Arrays:
+    """What the network is given of a frame with a blur map that may have holes."""
     noise = float(channel_noise(frame, KnownNoise()))
     sizes = hypothesis_blur_sizes(filled_blur_map(blur_px, frame))
     steps = np.stack([camera.hypotheses.table_steps(each) for each in sizes])
@@ -144,8 +139,8 @@ def _shown(
     }
 
 
-def _measured(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """Return true blur sizes as if they were measured: often worse, sometimes with holes."""
+def measured_blur(blur_px: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """True blur sizes as if they were measured: often worse, sometimes with holes."""
     if random.random() < _WORSE_SHARE:
         blur_px = _ERRORS[random.integers(len(_ERRORS))](blur_px, random)
     if random.random() < _HOLES_SHARE:
@@ -201,46 +196,21 @@ _ERRORS: tuple[Callable[[np.ndarray, np.random.Generator], np.ndarray], ...] = (
 
 
 def _square(reach: int) -> np.ndarray:
-    """Return what a morphological operator looks at: up to `reach` px away."""
+    """Window of a morphological operator: up to `reach` px away."""
     return np.ones((2 * int(reach) + 1,) * 2, np.uint8)
 
 
 def _enlarged(
     side: int, shape: tuple[int, ...], random: np.random.Generator, interpolation: int
 ) -> np.ndarray:
-    """Return normal random numbers at `side` places each way, enlarged to a shape."""
+    """Normal random numbers at `side` places each way, enlarged to a shape."""
     coarse = random.standard_normal((side, side)).astype(np.float32)
     return cv2.resize(coarse, shape[::-1], interpolation=interpolation)
 
 
-def _stacked(each: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    return {name: np.stack([one[name] for one in each]) for name in each[0]}
-
-
-def pictures_shard(shard: int, folder: Path | None) -> dict[str, np.ndarray]:
-    """Return all frames of a shard, stacked."""
-    folder = folder or Path(tempfile.gettempdir()) / "coded_aperture_training_banks"
+def _compute_shard(shard: int, _: dict[str, Arrays], folder: Path) -> Arrays:
     numbers = range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
-    return _stacked([list_pictures(number, folder) for number in numbers])
+    return stack([picture_arrays(number, folder) for number in numbers])
 
 
-def main() -> None:
-    """Make the shards that are not there yet."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_shard_options(parser)
-    args = parser.parse_args()
-    # Other machines keep the banks that they learn to themselves.
-    folder = None if args.scheduler else args.output / "banks"
-    tasks = [
-        (args.output / f"pictures_{shard:04d}.npz", lambda shard=shard: (shard, folder))
-        for shard in range(*args.shards)
-    ]
-    modules = ("shards.py", "scenes.py", "costs.py", "pictures.py")
-    compute(pictures_shard, tasks, modules, args.scheduler)
-
-
-if __name__ == "__main__":
-    # Workers know the functions of modules, not those of this program.
-    from pictures import main
-
-    main()
+PICTURES = Data("pictures", _compute_shard, modules=("scenes", "banks", "costs", "pictures"))

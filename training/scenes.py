@@ -1,13 +1,10 @@
-"""Frames to learn from: random scenes through many masks, rendered once, kept in shards on disk.
+"""Frames to learn from: random scenes through many masks, without noise, and their blur sizes."""
 
-python training/scenes.py --output DIR --shards 0 40
-"""
-
-import argparse
 import dataclasses
+from pathlib import Path
 
 import numpy as np
-from shards import add_shard_options, compute
+from shards import Arrays, Data, stack
 
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.simulation.layered import (
@@ -37,23 +34,26 @@ _MASKS = {
     "annulus": 1,
     "disc": 1,
 }
-_RANDOM_MASKS, _RANDOM_SHARE = 12, 11
+_RANDOM_MASKS = 12
+_RANDOM_SHARE = 11
 _ASYMMETRIC = 0.05
 # Shards from this one on have what is rare in those before: wide blur, little blur everywhere, and
 # rooms with nothing in them, such as a wall that fills the frame. Their shares; the rest is wide.
 FIRST_RARE_SHARD = 80
-_SHALLOW_SHARE, _EMPTY_SHARE = 0.2, 0.2
+_SHALLOW_SHARE = 0.2
+_EMPTY_SHARE = 0.2
 # From this one on frames show a room behind a net, leaves or a pane, or by itself: how many of
 # each, how many before the focal plane, and how much more often these masks are drawn.
 FIRST_FENCED_SHARD = 200
-_FENCE_SHARES, _FENCED_NEAR = (0.4, 0.2, 0.15, 0.25), 0.15
+_FENCE_SHARES = (0.4, 0.2, 0.15, 0.25)
+_FENCED_NEAR = 0.15
 _MORE_OFTEN = {"zhou": 2.0, "four_hole": 2.0}
 # Blur is kept in 16 bits.
 _WIDEST_PX = 21.8
 
 
-def mask_of(name: str) -> Mask:
-    """Return a mask by its name: the package's, or `random_N`."""
+def mask_named(name: str) -> Mask:
+    """Mask of the package, or a random one if the name is `random_N`."""
     if not name.startswith("random_"):
         return Mask.named(name)
     random = np.random.default_rng([11, int(name.removeprefix("random_"))])
@@ -63,13 +63,23 @@ def mask_of(name: str) -> Mask:
 
 
 def mask_names() -> tuple[str, ...]:
-    """Return the names of all masks that are learned from."""
+    """Names of all masks that are learned from."""
     return (*_MASKS, *(f"random_{number}" for number in range(_RANDOM_MASKS)))
 
 
+def frame_numbers(shard: int) -> range:
+    """Numbers of the frames of a shard."""
+    return range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
+
+
+def is_fenced(number: int) -> bool:
+    """Whether a frame shows a room behind something, or by itself: from `FIRST_FENCED_SHARD`."""
+    return number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD
+
+
 @dataclasses.dataclass(frozen=True)
-class Drawn:
-    """Which scene a frame shows, and through what."""
+class ScenePlan:
+    """Which scene a frame shows, and through which mask."""
 
     seed: int
     mask: str
@@ -79,28 +89,28 @@ class Drawn:
     fence: str = ""
 
 
-def drawn(number: int) -> Drawn:
-    """Return what frame `number` shows; the same for the same number."""
+def scene_plan(number: int) -> ScenePlan:
+    """What frame `number` shows; the same for the same number."""
     random = np.random.default_rng([5, number])
     weights = np.array([*_MASKS.values(), *[_RANDOM_SHARE / _RANDOM_MASKS] * _RANDOM_MASKS])
-    fenced = number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD
+    fenced = is_fenced(number)
     if fenced:
         weights *= [_MORE_OFTEN.get(name, 1.0) for name in mask_names()]
     mask = str(random.choice(mask_names(), p=weights / weights.sum()))
     if fenced:
         fence = str(random.choice([*FENCES, ""], p=_FENCE_SHARES))
         side = "near" if random.random() < _FENCED_NEAR else "far"
-        return Drawn(number, mask, side, empty=not fence, fence=fence)
+        return ScenePlan(number, mask, side, empty=not fence, fence=fence)
     side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
-    if side == "both" and mask_of(mask).asymmetry < _ASYMMETRIC:
+    if side == "both" and mask_named(mask).asymmetry < _ASYMMETRIC:
         side = "far"
     if number < FIRST_RARE_SHARD * FRAMES_PER_SHARD or side == "both":
-        return Drawn(number, mask, side)
-    return Drawn(number, mask, side, *_rare(random, side))
+        return ScenePlan(number, mask, side)
+    return ScenePlan(number, mask, side, *_rare(random, side))
 
 
 def _rare(random: np.random.Generator, side: str) -> tuple[tuple[float, float], bool]:
-    """Return a range of blur sizes that is rare otherwise, and whether the room is empty."""
+    """Range of blur sizes, px, that is rare otherwise, and whether the room is empty."""
     kind = random.random()
     empty = kind < _EMPTY_SHARE
     if empty:
@@ -116,27 +126,49 @@ def _rare(random: np.random.Generator, side: str) -> tuple[tuple[float, float], 
     return ((near, far) if side == "far" else (-far, -near)), empty
 
 
-def scene_of(what: Drawn) -> tuple[LayeredScene, Fenced | None]:
-    """Return a scene, and what it is made of if something stands before a room."""
-    mask, shape = mask_of(what.mask), (FRAME_PX, FRAME_PX)
-    if what.fence:
-        fenced = fenced_scene(what.seed, mask, what.fence, what.side, shape)
+def build_scene(plan: ScenePlan) -> tuple[LayeredScene, Fenced | None]:
+    """Scene of a plan, and what it is made of if something stands before a room."""
+    mask, shape = mask_named(plan.mask), (FRAME_PX, FRAME_PX)
+    if plan.fence:
+        fenced = fenced_scene(plan.seed, mask, plan.fence, plan.side, shape)
         return fenced.scene, fenced
-    return random_scene(what.seed, mask, what.side, shape, what.blur_range_px, what.empty), None
+    return random_scene(plan.seed, mask, plan.side, shape, plan.blur_range_px, plan.empty), None
 
 
-def render(number: int) -> dict[str, np.ndarray]:
-    """Return frame `number` without noise, and its truth."""
-    what = drawn(number)
+def uneven_mask(mask: Mask, strength: float, random: np.random.Generator) -> Mask:
+    """Mask as it is cut or printed: its cells differ a little from what the bank believes."""
+    uneven = 1 + strength * random.standard_normal(mask.transmission.shape)
+    return Mask(mask.name, np.clip(mask.transmission * uneven, 0, 1).astype(np.float32))
+
+
+def light_and_blur(scenes: Arrays, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Light of a frame of a shard, and its blur sizes; float32 [height, width].
+
+    Blur sizes in px, without sign, are NaN at seams between two surfaces.
+    """
+    return scenes["light"][index] * np.float32(LIGHT_STEP), blur_px(scenes["blur"][index])
+
+
+def blur_px(steps: np.ndarray) -> np.ndarray:
+    """Blur sizes in px, without sign, of what is stored in steps; NaN where they are unknown."""
+    sizes = np.abs(steps * np.float32(BLUR_STEP))
+    sizes[steps == 0] = np.nan
+    return sizes
+
+
+def render(number: int) -> Arrays:
+    """Frame `number` without noise, and its truth, in whole steps; see `light_and_blur`.
+
+    `light`, uint16, and `blur`, int16 [height, width]; `infinity`: blur size of what is infinitely
+    far, px. From `FIRST_FENCED_SHARD` on also `cover`, uint8: how much of a pixel something before
+    the room takes, and the blur sizes of that and of the room, `near` and `behind`, int16.
+    """
+    plan = scene_plan(number)
+    scene, fenced = build_scene(plan)
     random = np.random.default_rng([6, number])
-    mask = mask_of(what.mask)
-    scene, fenced = scene_of(what)
-    # Cut and printed masks differ a little from what the bank believes.
-    uneven = 1 + random.uniform(0, 0.08) * random.standard_normal(mask.transmission.shape)
-    cells = np.clip(mask.transmission * uneven, 0, 1).astype(np.float32)
-    light = scene.coded(Mask(mask.name, cells))
+    light = scene.coded(uneven_mask(mask_named(plan.mask), random.uniform(0, 0.08), random))
     two_surfaces = {}
-    if number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD:
+    if is_fenced(number):
         room = fenced.behind_px if fenced else scene.blur_size_px()
         two_surfaces = {
             "cover": np.rint(255 * (fenced.cover if fenced else 0 * room)).astype(np.uint8),
@@ -151,27 +183,8 @@ def render(number: int) -> dict[str, np.ndarray]:
     }
 
 
-def render_shard(shard: int) -> dict[str, np.ndarray]:
-    """Return all frames of a shard, stacked."""
-    numbers = range(shard * FRAMES_PER_SHARD, (shard + 1) * FRAMES_PER_SHARD)
-    frames = [render(number) for number in numbers]
-    return {name: np.stack([frame[name] for frame in frames]) for name in frames[0]}
+def _render_shard(shard: int, _: dict[str, Arrays], __: Path) -> Arrays:
+    return stack([render(number) for number in frame_numbers(shard)])
 
 
-def main() -> None:
-    """Render the shards that are not there yet."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_shard_options(parser)
-    args = parser.parse_args()
-    tasks = [
-        (args.output / f"scenes_{shard:04d}.npz", lambda shard=shard: (shard,))
-        for shard in range(*args.shards)
-    ]
-    compute(render_shard, tasks, ("shards.py", "scenes.py"), args.scheduler)
-
-
-if __name__ == "__main__":
-    # Workers know the functions of modules, not those of this program.
-    from scenes import main
-
-    main()
+SCENES = Data("scenes", _render_shard, modules=("scenes",))

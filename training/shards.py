@@ -1,105 +1,141 @@
-"""Shards of frames, computed here or by the workers of a Dask scheduler, and kept on disk."""
+"""Data in shards: made by processes here or by the workers of a Dask scheduler, kept on disk."""
 
-import argparse
+import dataclasses
+import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from joblib import Parallel, delayed, parallel_config
 
 from coded_aperture_ros.core.cluster import dask_client
 
 Arrays = dict[str, np.ndarray]
-Task = tuple[Any, ...]
+Compute = Callable[[int, dict[str, Arrays], Path], Arrays]
 
 
-def shards_of(pairs: Sequence[int]) -> list[int]:
-    """Return the shards from each first one to before each last one."""
-    return [
-        shard
-        for first, last in zip(pairs[::2], pairs[1::2], strict=True)
-        for shard in range(first, last)
-    ]
+@dataclasses.dataclass(frozen=True)
+class Data:
+    """One kind of data.
+
+    Attributes
+    ----------
+    name : str
+        Of its folder, and the beginning of its files' names.
+    compute : callable
+        Makes a shard: from its number, the same shard of each of the sources by their names, and a
+        folder in which filter banks are kept.
+    sources : tuple of Data
+        What it is made from. Shards that one of them lacks are left out.
+    modules : tuple of str
+        Modules beside this one that workers of a scheduler need, in the order of their imports.
+    """
+
+    name: str
+    compute: Compute
+    sources: tuple["Data", ...] = ()
+    modules: tuple[str, ...] = ()
+
+    def path(self, folder: Path, shard: int) -> Path:
+        """File of a shard."""
+        return folder / self.name / f"{self.name}_{shard:04d}.npz"
+
+    def read(self, folder: Path, shard: int) -> Arrays:
+        """Arrays of a shard."""
+        with np.load(self.path(folder, shard)) as stored:
+            return dict(stored)
+
+    def exists(self, folder: Path, shard: int) -> bool:
+        """Whether a shard was made already."""
+        return self.path(folder, shard).exists()
 
 
-def add_shard_options(parser: argparse.ArgumentParser) -> None:
-    """Add what all scripts that compute shards have in common."""
-    parser.add_argument("--output", type=Path, required=True)
-    parser.add_argument("--shards", type=int, nargs="+", required=True, help="FIRST END [STEP]")
-    parser.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="Dask scheduler whose workers share the shards, instead of this process",
-    )
+def expand_pairs(pairs: Sequence[int]) -> list[int]:
+    """Numbers from each first one to before each last one: `4 6 84 85` are 4, 5 and 84."""
+    ends = zip(pairs[::2], pairs[1::2], strict=True)
+    return [shard for first, last in ends for shard in range(first, last)]
 
 
-def compute(
-    function: Callable[..., Arrays],
-    tasks: Iterable[tuple[Path, Callable[[], Task]]],
-    modules: tuple[str, ...],
-    scheduler: str | None,
+def stack(items: Sequence[Arrays]) -> Arrays:
+    """Arrays of several items, stacked along a new first axis."""
+    return {name: np.stack([item[name] for item in items]) for name in items[0]}
+
+
+def make(
+    data: Data, folder: Path, shards: Sequence[int], processes: int = 1, scheduler: str = ""
 ) -> None:
-    """Write the shards that are not there yet, and a line for each.
+    """Write the shards that are missing, those of the sources first; print a line for each.
 
     Parameters
     ----------
-    function : callable
-        From a task to arrays. Of a module beside this one, so that workers can import it.
-    tasks : iterable of (Path, callable)
-        Where a shard is written, and what reads the arguments of the function.
-    modules : tuple of str
-        Files beside this one that workers need.
-    scheduler : str or None
-        Address of a Dask scheduler. Workers need this package, and no common disk.
+    data : Data
+    folder : Path
+        Holds one folder for each kind of data.
+    shards : sequence of int
+    processes : int
+        How many share the work here.
+    scheduler : str
+        Address of a Dask scheduler whose workers make the shards instead. They need this package,
+        and no common disk. Empty: none.
     """
-    missing = [(path, read) for path, read in tasks if not path.exists()]
+    for source in data.sources:
+        make(source, folder, shards, processes, scheduler)
+    missing = [
+        shard
+        for shard in shards
+        if not data.exists(folder, shard)
+        and all(source.exists(folder, shard) for source in data.sources)
+    ]
+    if not missing:
+        return
     start = time.perf_counter()
-    computed = _on_workers if scheduler else _here
-    for number, (path, arrays) in enumerate(computed(function, missing, modules, scheduler), 1):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part.npz")
-        np.savez(part, **arrays)
-        part.rename(path)
-        spent = time.perf_counter() - start
-        left = spent / number * (len(missing) - number)
-        print(
-            f"{path.name}: {number} of {len(missing)}, {spent / 60:.1f} min, "
-            f"{left / 60:.0f} min left",
-            flush=True,
+    banks = None if scheduler else folder / "banks"
+    with _workers(data, processes, scheduler):
+        # Shards of the sources are read when a worker is free: they take memory.
+        made = Parallel(return_as="generator", batch_size=1, max_nbytes=None)(
+            delayed(_compute)(data.compute, shard, _read_sources(data, folder, shard), banks)
+            for shard in missing
         )
+        for count, (shard, arrays) in enumerate(made, 1):
+            path = data.path(folder, shard)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            part = path.with_suffix(".part.npz")
+            np.savez(part, **arrays)
+            part.rename(path)
+            spent_min = (time.perf_counter() - start) / 60
+            left_min = spent_min / count * (len(missing) - count)
+            print(
+                f"{path.name}: {count} of {len(missing)}, {spent_min:.1f} min, "
+                f"{left_min:.0f} min left",
+                flush=True,
+            )
 
 
-def _here(function: Callable[..., Arrays], missing: list, *_: Any) -> Iterator[tuple[Path, Arrays]]:
-    for path, read in missing:
-        yield path, function(*read())
+def _read_sources(data: Data, folder: Path, shard: int) -> dict[str, Arrays]:
+    return {source.name: source.read(folder, shard) for source in data.sources}
 
 
-def _on_workers(
-    function: Callable[..., Arrays], missing: list, modules: tuple[str, ...], address: str
-) -> Iterator[tuple[Path, Arrays]]:
-    """Yield shards as they come; a worker that dies loses nothing but time."""
-    from distributed import as_completed
+def _compute(
+    compute: Compute, shard: int, sources: dict[str, Arrays], banks: Path | None
+) -> tuple[int, Arrays]:
+    """Shard and its number; workers of a scheduler keep their banks to themselves."""
+    banks = banks or Path(tempfile.gettempdir()) / "coded_aperture_banks"
+    return shard, compute(shard, sources, banks)
 
-    files = [str(Path(__file__).with_name(name)) for name in modules]
-    with dask_client(address) as client:
+
+@contextmanager
+def _workers(data: Data, processes: int, scheduler: str) -> Iterator[None]:
+    """What joblib computes with: processes here, or the workers of a scheduler."""
+    if not scheduler:
+        with parallel_config("loky", n_jobs=processes):
+            yield
+        return
+    # A scheduler in this process loads them anew from elsewhere.
+    files = [str(Path(__file__).with_name(f"{name}.py")) for name in ("shards", *data.modules)]
+    with dask_client(scheduler) as client:
         for file in files:
             client.upload_file(file)
-        waiting = iter(missing)
-        paths = {}
-        done = as_completed()
-
-        def submit() -> None:
-            for path, read in waiting:
-                future = client.submit(function, *read(), pure=False, retries=2)
-                paths[future.key] = path
-                done.add(future)
-                return
-
-        # Two for each thread, so that none waits; not all, for their arguments take memory.
-        for _ in range(max(2 * sum(client.nthreads().values()), 1)):
-            submit()
-        for future in done:
-            yield paths[future.key], future.result()
-            future.release()
-            submit()
+        with parallel_config("dask", n_jobs=-1):
+            yield

@@ -13,31 +13,34 @@ pytest.importorskip("numba", reason="random scenes need numba")
 
 @pytest.fixture(scope="module")
 def training(checkout):
-    """The scripts' modules, as they import each other."""
+    """The program's modules, as they import each other."""
     folder = str(checkout / "training")
     sys.path.insert(0, folder)
-    yield {
-        name: importlib.import_module(name)
-        for name in ("shards", "scenes", "costs", "pictures", "second_shown")
-    }
+    names = ("shards", "scenes", "costs", "pictures", "windows", "calibration", "train")
+    yield {name: importlib.import_module(name) for name in names}
     sys.path.remove(folder)
 
 
 @pytest.fixture
 def few_frames(training, monkeypatch):
-    for name in ("scenes", "costs"):
-        monkeypatch.setattr(training[name], "FRAMES_PER_SHARD", 2)
+    monkeypatch.setattr(training["scenes"], "FRAMES_PER_SHARD", 2)
     monkeypatch.setattr(training["scenes"], "FRAME_PX", 96)
 
 
-def run(monkeypatch, module, *options):
-    monkeypatch.setattr(sys, "argv", [module.__name__, *map(str, options)])
-    module.main()
+@pytest.fixture
+def run(training):
+    """Runs the program."""
+
+    def run_program(task, *options):
+        arguments = [task, *map(str, options), "--processes", "1", "--threads", "1"]
+        training["train"].main(arguments)
+
+    return run_program
 
 
 def test_some_frames_lose_weak_texture_and_keep_edges(training):
     costs = training["costs"]
-    how = [costs.seen(number, "far") for number in range(200)]
+    how = [costs.recording_plan(number, "far") for number in range(200)]
     assert 0.15 < np.mean([each.smoothed > 0 for each in how]) < 0.35
     clean = dataclasses.replace(how[0], noise=0.0, gain=0.0, blur_px=0.0, eight_bits=False)
     step = np.repeat(np.float32([0.2, 0.6]), 32) * np.ones((64, 1), np.float32)
@@ -51,11 +54,9 @@ def test_some_frames_lose_weak_texture_and_keep_edges(training):
     assert np.abs(smooth - light).max() < 0.02
 
 
-def test_frames_and_their_costs_are_written_once(
-    training, few_frames, monkeypatch, tmp_path, capsys
-):
+def test_frames_and_their_costs_are_written_once(training, few_frames, run, tmp_path, capsys):
     scenes, costs = tmp_path / "scenes", tmp_path / "costs"
-    run(monkeypatch, training["scenes"], "--output", scenes, "--shards", 3, 5)
+    training["shards"].make(training["scenes"].SCENES, tmp_path, (3, 4))
     assert sorted(path.name for path in scenes.iterdir()) == ["scenes_0003.npz", "scenes_0004.npz"]
     assert "scenes_0003.npz: 1 of 2" in capsys.readouterr().out
     shard = dict(np.load(scenes / "scenes_0004.npz"))
@@ -65,7 +66,10 @@ def test_frames_and_their_costs_are_written_once(
     # No blur size is unknown.
     assert np.abs(shard["blur"]).min() > 0 and np.abs(shard["blur"]).max() < 20 * 1500
 
-    run(monkeypatch, training["costs"], "--scenes", scenes, "--output", costs, "--shards", 0, 9, 4)
+    data = ("data", "--folder", tmp_path, "--shards", 4, 5, "--held-back")
+    before = (scenes / "scenes_0004.npz").stat().st_mtime_ns
+    run("refinement", *data)
+    assert (scenes / "scenes_0004.npz").stat().st_mtime_ns == before
     assert [path.name for path in costs.glob("*.npz")] == ["costs_0004.npz"]
     seen = np.load(costs / "costs_0004.npz")
     cells = training["costs"].CELLS
@@ -75,26 +79,26 @@ def test_frames_and_their_costs_are_written_once(
     assert ((seen["told"] > 0) & (seen["told"] <= 1)).all()
 
     capsys.readouterr()
-    before = (scenes / "scenes_0003.npz").stat().st_mtime_ns
-    run(monkeypatch, training["scenes"], "--output", scenes, "--shards", 3, 5)
-    assert (scenes / "scenes_0003.npz").stat().st_mtime_ns == before
+    run("refinement", *data)
     assert capsys.readouterr().out == ""
 
 
-def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(
-    training, few_frames, monkeypatch, tmp_path
-):
-    monkeypatch.setattr(training["second_shown"], "FRAMES_PER_SHARD", 2)
-    scenes, costs, shown = (tmp_path / name for name in ("scenes", "costs", "shown"))
+def test_a_task_refuses_steps_and_shards_that_it_does_not_have(run, capsys):
+    for arguments, message in (
+        (("blend", "data", "calibrate"), "blend has the steps data, fit, export, quantise, not"),
+        (("check", "data", "--shards", 0, 4, 8), "--shards: expected pairs, FIRST END"),
+    ):
+        with pytest.raises(SystemExit):
+            run(*arguments)
+        assert message in capsys.readouterr().err
+
+
+def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(training, few_frames, run, tmp_path):
     first = training["scenes"].FIRST_FENCED_SHARD
-    shards = ("--shards", 25 * first, 25 * first + 1)  # of two frames each
-    run(monkeypatch, training["scenes"], "--output", scenes, *shards)
-    given = ("--scenes", scenes)
-    run(monkeypatch, training["costs"], *given, "--output", costs, *shards)
-    run(monkeypatch, training["second_shown"], *given, "--costs", costs, "--output", shown, *shards)
-    scene = np.load(scenes / f"scenes_{25 * first:04d}.npz")
+    run("second", "data", "--folder", tmp_path, "--shards", first, first + 1, "--held-back")
+    scene = np.load(tmp_path / "scenes" / f"scenes_{first:04d}.npz")
     assert scene["cover"].shape == scene["near"].shape == scene["behind"].shape == (2, 96, 96)
-    found = np.load(shown / f"second_{25 * first:04d}.npz")
+    found = np.load(tmp_path / "windows" / f"windows_{first:04d}.npz")
     cells = training["costs"].CELLS
     assert found["shown"].shape[0] == 2 and found["shown"].shape[2:] == (cells, cells)
     assert np.isfinite(found["shown"]).all() and set(np.unique(found["two"])) <= {-1, 0, 1}
@@ -109,19 +113,21 @@ def test_training_never_sees_the_scenes_of_the_benchmarks(training):
     assert FIRST_SEED == 1_000_000
     masks = set()
     for number in (0, 17, 99_999):
-        drawn = training["scenes"].drawn(number)
-        assert drawn.seed < 100_000 < FIRST_SEED
-        assert drawn == training["scenes"].drawn(number)
+        plan = training["scenes"].scene_plan(number)
+        assert plan.seed < 100_000 < FIRST_SEED
+        assert plan == training["scenes"].scene_plan(number)
     for number in range(400):
-        masks.add(training["scenes"].drawn(number).mask)
+        masks.add(training["scenes"].scene_plan(number).mask)
     assert {"levin", "zhou", "four_hole"} < masks <= set(training["scenes"].mask_names())
 
 
 def test_later_shards_have_what_is_rare_in_the_first_ones(training):
     scenes = training["scenes"]
     first = scenes.FIRST_RARE_SHARD * scenes.FRAMES_PER_SHARD
-    assert all(scenes.drawn(number).blur_range_px is None for number in range(first - 400, first))
-    later = [scenes.drawn(number) for number in range(first, first + 600)]
+    assert all(
+        scenes.scene_plan(number).blur_range_px is None for number in range(first - 400, first)
+    )
+    later = [scenes.scene_plan(number) for number in range(first, first + 600)]
     assert all((each.blur_range_px is None) == (each.side == "both") for each in later)
     ranges = [np.abs(each.blur_range_px) for each in later if each.blur_range_px]
     far = np.array([sizes.max() for sizes in ranges])
@@ -135,59 +141,106 @@ def test_later_shards_have_what_is_rare_in_the_first_ones(training):
     assert light.shape == (scenes.FRAME_PX, scenes.FRAME_PX)
 
 
-@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
-def test_the_network_that_ships_can_be_fitted_further(training, checkout, monkeypatch, tmp_path):
+def calibrated_weights(training, coefficients, deviation):
+    """Calibration that is fitted to places and errors drawn from one."""
+    random = np.random.default_rng(0)
+    odds, size_px, log_tolerance = random.normal(0, 1, (3, 40_000)) * [[2], [5], [1]]
+    given = np.stack([np.ones_like(odds), odds, size_px, log_tolerance])
+    right = random.random(odds.shape) < 1 / (1 + np.exp(-coefficients @ given))
+    error = np.where(right, 0.01, 0.5)
+    kind = random.integers(3, size=odds.shape)
+    places = np.stack([odds, size_px, log_tolerance, error, kind])
+    calibration = training["calibration"].confidence_calibration(places)
+    found = {
+        "probability": np.full(10_000, 0.97, np.float32),
+        "size": np.full(10_000, 5, np.float32),
+        "tolerance": np.full(10_000, 2, np.float32),
+        "error": np.abs(random.normal(0, deviation, 10_000)),
+        "deviation": np.ones(10_000),
+    }
+    return training["calibration"].deviation_calibration([found, found], calibration)
+
+
+def test_calibration_finds_the_constants_that_frames_were_made_with(training, capsys):
+    coefficients = np.array([-0.5, 1.4, 0.07, -0.5])
+    found = calibrated_weights(training, coefficients, 0.8)
+    np.testing.assert_allclose(found.coefficients, coefficients, atol=0.06)
+    assert found.deviation == pytest.approx(0.8, rel=0.03)
+    assert capsys.readouterr().out.count("by the others: cross-entropy") == 3
+
+
+def test_places_of_frames_are_measured_by_the_weights_of_a_file(
+    training, monkeypatch, checkout, tmp_path
+):
+    calibration = training["calibration"]
+    shipped = checkout / "coded_aperture_ros/depth/decoders/network/refinement.npz"
+    monkeypatch.setattr(calibration, "FRAMES_PER_SHARD", 1)
+    monkeypatch.setattr(calibration, "_SIZE", (96, 128))
+    odds, size_px, log_tolerance, error, kind = calibration.frame_places(shipped, tmp_path, 2, 1)
+    assert len(odds) > 500 and np.isfinite(odds).all() and np.isfinite(log_tolerance).all()
+    assert (size_px >= 0).all() and (error >= 0).all() and set(kind) <= {0, 1, 2}
+    assert np.mean(error < 0.05) > 0.1
+    # Kept by the weights that they are of.
+    assert [path.name[:7] for path in tmp_path.iterdir() if path.name != "banks"] == ["places_"]
+
+
+@pytest.fixture
+def torch(training):
+    """PyTorch, and the modules that need it."""
     torch = pytest.importorskip("torch", reason="fitting needs torch")
-    pytest.importorskip("onnx", reason="the file holds networks in its form")
+    pytest.importorskip("onnx", reason="torch writes networks by it")
+    threads = torch.get_num_threads()
+    yield torch
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
+def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_path):
     from coded_aperture_ros.core.archive import read_archive
     from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION
 
-    names = ("batches", "shipped", "export")
-    batches, shipped, export = (importlib.import_module(name) for name in names)
-    path = checkout / "coded_aperture_ros" / "depth" / "refine" / "refinement.npz"
-    network = shipped.shipped(path).eval()
+    refinement, networks = (importlib.import_module(name) for name in ("refinement", "networks"))
+    path = checkout / "coded_aperture_ros/depth/decoders/network/refinement.npz"
+    network = refinement.shipped_network(path).eval()
     random = torch.Generator().manual_seed(0)
     inputs = network.stem[0].in_channels - len(network.every_level.sizes), network.frame[0][0]
     costs = torch.rand(2, inputs[0], 8, 8, generator=random)
     frame = torch.rand(2, inputs[1].in_channels, 16, 16, generator=random)
-    batch = batches.Batch(costs, frame, *[torch.zeros(2)] * 3)
     with torch.no_grad():
         before = network(costs, frame)
-        shipped.normalised(network, [batch])
+        networks.renormalise(network, [(costs, frame)])
         after = network(costs, frame)
     for one, other in zip(before, after, strict=True):
         torch.testing.assert_close(one, other, atol=1e-3, rtol=1e-3)
     assert network.stem[1].running_mean.abs().max() > 0
 
-    state, exported = tmp_path / "state.pt", tmp_path / "refinement.npz"
-    torch.save({"average": network.state_dict()}, state)
-    run(monkeypatch, export, "--state", state, "-o", exported)
+    (tmp_path / "state").mkdir()
+    torch.save({"average": network.state_dict()}, tmp_path / "state" / "refinement.pt")
+    run("refinement", "export", "--folder", tmp_path)
+    exported = tmp_path / "refinement.npz"
     old, new = (read_archive(each, SCHEMA, SCHEMA_VERSION) for each in (path, exported))
-    assert set(old) == set(new)
+    added_later = {"levels_int8", "cells_int8", "calibration", "deviation"}
+    assert set(old) == set(new) | added_later and not added_later & set(new)
     for name in ("first_weights", "size_bias", "choice_weights", "trust"):
         np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-6)
-    again = shipped.shipped(exported).eval()
+    again = refinement.shipped_network(exported).eval()
     with torch.no_grad():
         for one, other in zip(again(costs, frame), before, strict=True):
             torch.testing.assert_close(one, other, atol=0.02, rtol=0.02)
 
 
 @pytest.fixture
-def blend(training, monkeypatch):
-    """The scripts that fit the blend, with few and small frames."""
-    torch = pytest.importorskip("torch", reason="fitting needs torch")
-    names = ("blend_network", "blend_fit", "blend_export")
-    modules = {name: importlib.import_module(name) for name in names}
+def blend(training, torch, monkeypatch):
+    """The module that fits the blend, with few and small frames."""
+    module = importlib.import_module("blend")
     monkeypatch.setattr(training["pictures"], "FRAMES_PER_SHARD", 1)
     monkeypatch.setattr(training["pictures"], "FRAME_PX", 128)
-    monkeypatch.setattr(modules["blend_fit"], "_BATCH", 2)
-    threads = torch.get_num_threads()
-    yield modules
-    torch.set_num_threads(threads)
+    monkeypatch.setattr(module, "BATCH", 2)
+    return module
 
 
 def test_errors_of_depth_are_drawn_for_each_frame(training):
-    measured = training["pictures"]._measured
+    measured = training["pictures"].measured_blur
     true = np.linspace(2, 12, 128 * 128, dtype=np.float32).reshape(128, 128)
     before = true.copy()
     found = [measured(true, np.random.default_rng(seed)) for seed in range(60)]
@@ -208,7 +261,7 @@ def test_pictures_are_turned_with_the_pixels_of_their_cells(blend):
     def picture(pixels):
         cells = pack_cells(pixels)
         whole = cells.mean(axis=0)
-        return blend["blend_fit"].Picture(cells, whole[None], cells[:16], whole)
+        return blend.Picture(cells, whole[None], cells[:16], whole)
 
     for flip in (False, True):
         for turns in range(4):
@@ -222,40 +275,34 @@ def test_pictures_are_turned_with_the_pixels_of_their_cells(blend):
 
 @pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
 def test_the_blend_is_fitted_goes_on_and_is_what_the_package_runs(
-    training, blend, monkeypatch, tmp_path, capsys
+    training, torch, blend, monkeypatch, run, tmp_path, capsys
 ):
-    import torch
-
-    pytest.importorskip("onnx", reason="torch writes networks by it")
-    shards, folder = tmp_path / "pictures", tmp_path / "fit"
-    run(monkeypatch, training["pictures"], "--output", shards, "--shards", 2, 4)
-    assert sorted(path.name for path in shards.glob("*.npz")) == [
+    folder = ("--folder", tmp_path)
+    run("blend", "data", *folder, "--shards", 2, 4, "--held-back")
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == [
         "pictures_0002.npz",
         "pictures_0003.npz",
     ]
-    stored = dict(np.load(shards / "pictures_0003.npz"))
-    for name, values in training["pictures"].list_pictures(3, shards / "banks").items():
+    stored = dict(np.load(tmp_path / "pictures" / "pictures_0003.npz"))
+    for name, values in training["pictures"].picture_arrays(3, tmp_path / "banks").items():
         np.testing.assert_array_equal(stored[name][0], values)
         assert np.isfinite(values).all()
 
-    options = ("--pictures", shards, "--output", folder, "--shards", 2, 3, "--threads", 1)
-    with pytest.raises(SystemExit, match="0 pictures to look at: --validate needs at least 2"):
-        run(monkeypatch, blend["blend_fit"], *options, "--validate", 0, 2)
+    fit = ("fit", *folder, "--shards", 2, 4, "--held-back")
+    with pytest.raises(SystemExit, match="0 items to hold back, at least 2 are needed"):
+        run("blend", *fit)
     capsys.readouterr()
-    options += ("--validate", 3, 4, "--minutes")
     steps = []
     for minutes in (0.03, 0.03, 0.06):
-        run(monkeypatch, blend["blend_fit"], *options, minutes)
-        steps.append(torch.load(folder / "state.pt")["step"])
+        run("blend", *fit, 3, 4, "--minutes", minutes)
+        steps.append(torch.load(tmp_path / "state" / "blend.pt")["step"])
     assert 0 < steps[0] == steps[1] < steps[2]
-    assert capsys.readouterr().out.count("2 pictures to learn from, 2 to look at\nheld out: {") == 3
+    assert capsys.readouterr().out.count("2 items to learn from, 2 held back\nheld back: {") == 3
 
-    assert_the_package_runs_what_was_fitted(blend, monkeypatch, folder / "state.pt")
+    assert_the_package_runs_what_was_fitted(torch, blend, monkeypatch, run, tmp_path)
 
 
-def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
-    import torch
-
+def assert_the_package_runs_what_was_fitted(torch, blend, monkeypatch, run, folder):
     from coded_aperture_ros.core.archive import read_archive
     from coded_aperture_ros.core.workers import Workers
     from coded_aperture_ros.deblur.blend import Blend
@@ -264,13 +311,13 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     from coded_aperture_ros.optics import Mask, render_psf_stack
 
     # As after a longer fit: the last layer begins with zeros.
+    path = folder / "state" / "blend.pt"
     state = torch.load(path)
     last = state["average"]["last.weight"]
     last += 0.02 * torch.randn(last.shape, generator=torch.Generator().manual_seed(0))
     torch.save(state, path)
-    exported = path.with_name("blend.npz")
-    run(monkeypatch, blend["blend_export"], "--state", path, "-o", exported)
-    arrays = read_archive(exported, package.SCHEMA, package.SCHEMA_VERSION)
+    run("blend", "export", "--folder", folder)
+    arrays = read_archive(folder / "blend.npz", package.SCHEMA, package.SCHEMA_VERSION)
     monkeypatch.setattr(package, "read_shipped", lambda *_: arrays)
 
     random = np.random.default_rng(0)
@@ -290,11 +337,11 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     mean, scale = package.mean_and_contrast(cells[-16:], noise)
     maps = package.cell_maps(sizes, known, scale, noise)
     cells, maps = (torch.from_numpy(each)[None] for each in ((cells - mean) / scale, maps))
-    network = blend["blend_network"].Blend().eval()
+    network = blend.Blend().eval()
 
     def of_torch():
         with torch.no_grad():
-            blended = blend["blend_network"].blended(network(torch.cat([cells, maps], 1)), cells)
+            blended = blend.blended(network(torch.cat([cells, maps], 1)), cells)
         return unpack_cells(blended[0].numpy() * scale + mean, frame.shape)
 
     of_start = of_torch()
@@ -304,21 +351,114 @@ def assert_the_package_runs_what_was_fitted(blend, monkeypatch, path):
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
+def test_the_second_surface_is_fitted_and_is_what_the_package_runs(
+    training, torch, monkeypatch, run, tmp_path
+):
+    from coded_aperture_ros.depth.decoders.network import second as package
+    from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
+
+    second = importlib.import_module("second")
+    random = np.random.default_rng(0)
+    cells, data = training["costs"].CELLS, training["windows"].WINDOWS
+    for shard in (0, 1):
+        two = random.integers(-1, 2, (16, cells, cells))
+        shown = random.random((16, 144, cells, cells)) + (two[:, None] == 1)
+        arrays = {"shown": shown, "two": two, "share": 0.3 * (two == 1)}
+        arrays |= {"less": 4.0 * (two == 1), "more": 9.0 * (two == 1)}
+        data.path(tmp_path, shard).parent.mkdir(exist_ok=True)
+        halves = {name: values.astype(np.float16) for name, values in arrays.items()}
+        np.savez(data.path(tmp_path, shard), **halves)
+    of_task = ("--folder", tmp_path, "--shards", 0, 1, "--held-back", 1, 2)
+    run("second", "fit", "export", "calibrate", *of_task, "--minutes", 0.05)
+
+    weights = dict(np.load(tmp_path / "second.npz"))
+    monkeypatch.setattr(package, "read_shipped", lambda *_: weights)
+    surface = package.SecondSurface(np.ones(len(BLUR_SIZES_PX), bool))
+    assert surface._least_odds == weights["least_odds"]
+    given = random.random((1, 144, 12, 16)).astype(np.float32)
+    network = second.Second(144).eval()
+    network.load_state_dict(torch.load(tmp_path / "state" / "second.pt")["average"])
+    larger = torch.from_numpy(given.copy())
+    larger[:, : 2 * len(BLUR_SIZES_PX)] *= 4
+    with torch.no_grad():
+        expected = network(larger).numpy()
+    np.testing.assert_allclose(surface._network({"shown": given}), expected, atol=0.02)
+
+    # 2 % of the windows with one surface pass for two.
+    stored = dict(np.load(data.path(tmp_path, 1)))
+    found = surface._network({"shown": stored["shown"][:1].astype(np.float32)})
+    with torch.no_grad():
+        odds = torch.nn.functional.pixel_shuffle(torch.from_numpy(found), 2)[0, -2].numpy()
+    assert np.mean(odds[stored["two"][0] == 0] > weights["least_odds"]) == pytest.approx(
+        0.02, abs=0.02
+    )
+
+    further = tmp_path / "further.npz"
+    of_fit = ("--minutes", 0.05, "--further", tmp_path / "second.npz", "--weights", further)
+    run("second", "fit", "export", *of_task, *of_fit)
+    assert further.exists() and (tmp_path / "state" / "second_further.pt").exists()
+
+
+def test_the_check_is_fitted_and_is_what_the_package_runs(torch, monkeypatch, run, tmp_path):
+    from coded_aperture_ros.depth import CAUSES
+    from coded_aperture_ros.depth.quality import health
+
+    check, misfits = (importlib.import_module(name) for name in ("check", "misfits"))
+    random = np.random.default_rng(0)
+    for shard in (0, 1):
+        cause = random.integers(-1, len(CAUSES), 400)
+        rows = {
+            "features": random.normal(0, 1, (400, 12)).astype(np.float32),
+            "error": np.where(cause < 0, 0.01, 0.4),
+            "coverage": np.full(400, 0.8),
+            "cause": cause,
+            "kind": np.where(cause < 0, "fits", "other mask"),
+            "strength": np.zeros(400),
+            "number": np.arange(400) // 4,
+        }
+        rows["features"][:, 0] += 3 * (cause < 0)
+        path = misfits.MISFITS_DATA.path(tmp_path, shard)
+        path.parent.mkdir(exist_ok=True)
+        np.savez(path, **rows)
+    run("check", "fit", "export", "--folder", tmp_path, "--shards", 0, 1, "--held-back", 1, 2)
+
+    weights = dict(np.load(tmp_path / "fit.npz"))
+    monkeypatch.setattr(health, "read_shipped", lambda *_: weights)
+    health._weights.cache_clear()
+    found = np.stack([health._outputs_of(features) for features in rows["features"]])
+    health._weights.cache_clear()
+    state = torch.load(tmp_path / "state" / "check.pt")
+    members = check.Members(12).eval()
+    members.load_state_dict(state["average"])
+    with torch.no_grad():
+        given = members.standardised(rows["features"])
+        expected = members(given.expand(len(members.networks), -1, -1)).mean(0).numpy()
+    np.testing.assert_allclose(found, expected, atol=0.05)
+    # It tells what fits, by the feature that shows it.
+    assert np.mean((found[:, 0] > 0) == (rows["cause"] < 0)) > 0.85
+    assert state["step"] == 60 * 2
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of Dask and what it stands on
-def test_workers_of_a_scheduler_make_the_same_frames(training, tmp_path, capsys):
-    distributed = pytest.importorskip("distributed")
-    render = training["scenes"].render
-    tasks = [
-        (tmp_path / f"frame_{number}.npz", lambda number=number: (number,)) for number in (1, 2, 3)
-    ]
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as cluster:
-        modules = ("shards.py", "scenes.py")
-        training["shards"].compute(render, tasks, modules, cluster.scheduler_address)
+@pytest.mark.parametrize("where", ["processes", "scheduler"])
+def test_processes_and_workers_of_a_scheduler_make_the_same_frames(
+    training, tmp_path, capsys, where
+):
+    render, shards = training["scenes"].render, training["shards"]
+    data = shards.Data("frame", lambda number, _, __: render(number), modules=("scenes",))
+    numbers = (1, 2, 3)
+    if where == "processes":
+        shards.make(data, tmp_path, numbers, processes=2)
+    else:
+        distributed = pytest.importorskip("distributed")
+        with distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as cluster:
+            shards.make(data, tmp_path, numbers, scheduler=cluster.scheduler_address)
     assert "3 of 3" in capsys.readouterr().out
-    for path, read in tasks:
-        stored = np.load(path)
-        for name, values in render(*read()).items():
+    for number in numbers:
+        stored = data.read(tmp_path, number)
+        for name, values in render(number).items():
             np.testing.assert_array_equal(stored[name], values)

@@ -118,7 +118,7 @@ class Logits:
 
 
 class Network:
-    """Costs and frame in, logits out; see `training/network.py` for its layers.
+    """Costs and frame in, logits out; see `training/refinement_network.py` for its layers.
 
     A `runtime`, see `network_of`, runs all but the first layer of the blur sizes (see `_First`) and
     the last layer, of which only the rows are computed that are needed.

@@ -57,7 +57,7 @@ class Pair:
 class SecondSurface:
     """Finds the pairs of surfaces of frames, from what the refinement makes of them.
 
-    By a small network of its own, which OpenCV runs; see `training/second_fit.py`. `tried` [blur
+    By a small network of its own, which OpenCV runs; see `training/second.py`. `tried` [blur
     sizes] as of `Network`. Not for several threads at once.
     """
 

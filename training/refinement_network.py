@@ -1,4 +1,4 @@
-"""The refinement network: costs of a neighbourhood in, probabilities of blur sizes out."""
+"""The refinement network: costs of a neighbourhood in, logits of blur sizes out."""
 
 import dataclasses
 from collections.abc import Callable
@@ -19,6 +19,9 @@ from coded_aperture_ros.depth.decoders.network.features import (
 BINS = len(BLUR_SIZES_PX)
 # Channels of every blur size by itself, in squares of 16 px.
 _LEVEL = 24
+# The same of the large network, in cells and in squares of 16 px.
+_CELL = 16
+_CELL_HALF = 32
 # What comes of each: logits of a cell's four half-cells, and one more.
 PER_LEVEL = 5
 NEIGHBOURS = 9
@@ -43,7 +46,7 @@ class Widths:
 
 
 def convolution(inputs: int, outputs: int, side: int = 1, stride: int = 1) -> nn.Sequential:
-    """Return a convolution with batch normalisation, which is folded into it in the end."""
+    """Convolution with batch normalisation, which is folded into it in the end."""
     return nn.Sequential(
         nn.Conv2d(inputs, outputs, side, stride, side // 2, bias=False),
         nn.BatchNorm2d(outputs),
@@ -51,45 +54,27 @@ def convolution(inputs: int, outputs: int, side: int = 1, stride: int = 1) -> nn
     )
 
 
-class Residual(nn.Module):
-    """Adds what convolutions of fewer channels find around each place."""
-
-    def __init__(self, width: int, inner: int) -> None:
-        super().__init__()
-        self.reduce = convolution(width, inner)
-        self.spatial = nn.Conv2d(inner, inner, 3, 1, 1, bias=False)
-        self.norm = nn.BatchNorm2d(inner)
-        self.mix = nn.Conv2d(inner, width, 1)
-        nn.init.zeros_(self.mix.weight)
-        nn.init.zeros_(self.mix.bias)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x + self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
-
-
-class Near(nn.Module):
-    """Adds what a convolution finds around each place."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.spatial = nn.Conv2d(width, width, 3, 1, 1, bias=False)
-        self.norm = nn.BatchNorm2d(width)
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x + torch.relu(self.norm(self.spatial(x)))
-
-
 class Around(nn.Module):
-    """Adds what two convolutions find around each place, or at a distance."""
+    """Adds what convolutions find around each place, or at a distance.
 
-    def __init__(self, width: int, dilation: int = 1) -> None:
+    With `inner` they have fewer channels, and add nothing in the beginning; if not `mixed`, what
+    the first finds is added as it is.
+    """
+
+    def __init__(self, width: int, dilation: int = 1, inner: int = 0, mixed: bool = True) -> None:
         super().__init__()
-        self.spatial = nn.Conv2d(width, width, 3, 1, dilation, dilation, bias=False)
-        self.norm = nn.BatchNorm2d(width)
-        self.mix = nn.Conv2d(width, width, 1)
+        channels = inner or width
+        self.reduce = convolution(width, inner) if inner else nn.Identity()
+        self.spatial = nn.Conv2d(channels, channels, 3, 1, dilation, dilation, bias=False)
+        self.norm = nn.BatchNorm2d(channels)
+        self.mix = nn.Conv2d(channels, width, 1) if mixed else nn.Identity()
+        if inner:
+            nn.init.zeros_(self.mix.weight)
+            nn.init.zeros_(self.mix.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return x + self.mix(torch.relu(self.norm(self.spatial(x))))
+        found: torch.Tensor = self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
+        return x + found
 
 
 class LevelLayers(nn.Module):
@@ -101,7 +86,7 @@ class LevelLayers(nn.Module):
     def __init__(self, inputs: int) -> None:
         super().__init__()
         self.first = nn.Conv2d(4 * inputs, _LEVEL, 1)
-        self.around = nn.Sequential(Near(_LEVEL), Near(_LEVEL))
+        self.around = nn.Sequential(*(Around(_LEVEL, mixed=False) for _ in range(2)))
         self.out = nn.Conv2d(_LEVEL, 4 * PER_LEVEL, 3, 1, 1)
         nn.init.zeros_(self.out.weight)
         nn.init.zeros_(self.out.bias)
@@ -112,8 +97,30 @@ class LevelLayers(nn.Module):
         )
 
     def after_first(self, x: torch.Tensor) -> torch.Tensor:
-        """Return what comes of the first layer, of squares [batch, _LEVEL, rows, columns]."""
+        """What comes of the first layer, of squares [batch, _LEVEL, rows, columns]."""
         found: torch.Tensor = self.out(self.around(torch.relu(x)))
+        return found
+
+
+class CellLayers(nn.Module):
+    """What is done to every blur size, always with the same weights, in cells of 8 px."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.first = convolution(inputs, _CELL, 3)
+        self.down = convolution(_CELL, _CELL_HALF, 3, 2)
+        self.wide = nn.Sequential(*(convolution(_CELL_HALF, _CELL_HALF, 3) for _ in range(3)))
+        self.up = nn.ConvTranspose2d(_CELL_HALF, _CELL, 2, 2)
+        self.join = convolution(2 * _CELL, _CELL)
+        self.out = nn.Conv2d(_CELL, PER_LEVEL, 3, 1, 1)
+        nn.init.zeros_(self.out.weight)
+        nn.init.zeros_(self.out.bias)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        fine = self.first(x)
+        found: torch.Tensor = self.out(
+            self.join(torch.cat([fine, self.up(self.wide(self.down(fine)))], 1))
+        )
         return found
 
 
@@ -151,7 +158,7 @@ class EveryLevel(nn.Module):
         return found.unflatten(0, (batch, BINS)).transpose(1, 2)
 
     def _in_squares(self, layers: LevelLayers, costs: torch.Tensor) -> torch.Tensor:
-        """Return the same, with what the first layer, which is linear, does once for all."""
+        """The same, with what the first layer, which is linear, does once for all."""
         batch, _, rows, columns = costs.shape
         squares = functional.pixel_unshuffle(costs, 2).unflatten(1, (-1, 4))
         volume = squares[:, :COST_CHANNELS].unflatten(1, (-1, BINS)).transpose(1, 2)
@@ -194,12 +201,12 @@ class Refinement(nn.Module):
             convolution(w.cell + w.frame, w.cell), *(Around(w.cell, far) for far in w.before)
         )
         self.down = convolution(w.cell, w.half, 3, 2)
-        self.at_half = nn.Sequential(*(Residual(w.half, w.of_half) for _ in range(2)))
+        self.at_half = nn.Sequential(*(Around(w.half, inner=w.of_half) for _ in range(2)))
         self.down2 = convolution(w.half, w.quarter, 3, 2)
-        self.at_quarter = nn.Sequential(*(Residual(w.quarter, 48) for _ in range(2)))
+        self.at_quarter = nn.Sequential(*(Around(w.quarter, inner=48) for _ in range(2)))
         self.up2 = nn.ConvTranspose2d(w.quarter, w.half, 2, 2)
         self.at_half_again = nn.Sequential(
-            convolution(2 * w.half, w.half), Residual(w.half, w.of_half)
+            convolution(2 * w.half, w.half), Around(w.half, inner=w.of_half)
         )
         self.up = nn.ConvTranspose2d(w.half, w.cell, 2, 2)
         self.at_cell_again = nn.Sequential(*(Around(w.cell, far) for far in w.after))
@@ -210,7 +217,7 @@ class Refinement(nn.Module):
         self.trust = nn.Parameter(torch.tensor([0.5, 0.0, 0.25, 0.5, 0.0, 0.25]))
 
     def trunk(self, costs: torch.Tensor, frame: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
-        """Return what the last two convolutions act on."""
+        """What the last two convolutions act on."""
         stem = self.stem(torch.cat([costs, levels], 1))
         cell = self.at_cell(torch.cat([stem, self.frame(frame)], 1))
         half = self.at_half(self.down(cell))
@@ -230,3 +237,11 @@ class Refinement(nn.Module):
         own = own - functional.pixel_shuffle(levels[:, :4].transpose(1, 2).flatten(1, 2), 2)
         choice = functional.pixel_shuffle(self.choice(cell), 2)
         return torch.cat([size[:, :BINS] - own, size[:, BINS:]], 1), choice
+
+
+def large_network() -> Refinement:
+    """Teacher: fitted first, and the network that ships learns from it."""
+    widths = Widths(
+        cell=64, half=96, of_half=40, quarter=112, frame=32, before=(1, 2), after=(1, 2, 1)
+    )
+    return Refinement(widths, CellLayers)

@@ -1,0 +1,64 @@
+"""What a task is: one network of the package, and how it is fitted, written and calibrated."""
+
+import dataclasses
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+from shards import Arrays
+
+if TYPE_CHECKING:  # PyTorch is loaded with the task that is chosen
+    import torch
+    from loop import Problem
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """What the command line says; see `train.py --help`. `state` is the file of the fit."""
+
+    folder: Path
+    state: Path
+    weights: Path
+    shards: tuple[int, ...]
+    held_back: tuple[int, ...]
+    minutes: float
+    rate: float | None
+    further: Path | None
+    start: Path | None
+    truth_only: bool
+    least_told: float
+    frames: int
+    processes: int
+    scheduler: str
+    threads: int
+
+
+class Task:
+    """A network of the package.
+
+    Attributes
+    ----------
+    module : module
+        Of the package, which reads the weights' file.
+    exact : tuple of str
+        Layers, by a part of their names, that are not quantised.
+    """
+
+    module: ModuleType
+    exact: tuple[str, ...] = ()
+
+    def problem(self, options: Options) -> "Problem":
+        """Network, data, loss and score for the loop."""
+        raise NotImplementedError
+
+    def arrays(self, weights: "dict[str, torch.Tensor]", options: Options) -> dict[str, Any]:
+        """Arrays of the weights' file, from the weights that were fitted."""
+        raise NotImplementedError
+
+    def quantisation_inputs(self, options: Options) -> dict[str, list[Arrays]]:
+        """Inputs of the networks in the weights' file for some frames; the package runs them."""
+        raise NotImplementedError
+
+    def calibration(self, options: Options) -> dict[str, Any]:
+        """Constants of the weights' file that are fitted by data held back."""
+        raise NotImplementedError
