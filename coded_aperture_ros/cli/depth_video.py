@@ -3,14 +3,17 @@
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from itertools import tee
 
-from coded_aperture_ros.cli.frames import NamedFrame, SkippedInputs, single_frame
+from coded_aperture_ros.cli.frames import NamedFrame, SkippedInputs, decode
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.depth import DepthEstimate, FocusPair
 from coded_aperture_ros.depth.video import check_same_size
+from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.sources import captures, open_files
 
 Fit = Callable[[NamedFrame], NamedFrame]
 Result = tuple[NamedFrame, DepthEstimate, float]  # the last: time that it took, s
@@ -31,7 +34,7 @@ def with_second_focus(
     start = time.perf_counter()
     with naming(named.source):
         fit(named)
-    second = single_frame(second_file, args)
+    second = _single_frame(second_file, args)
     with naming(second_file):
         pair = FocusPair(pipeline.estimator, focus_m)
         estimate = pair.estimate(named.frame, second, named.size)
@@ -81,3 +84,12 @@ def look_ahead(
         yield waiting.popleft(), result[1], time.perf_counter() - start
     if unreadable:
         raise unreadable[0]
+
+
+def _single_frame(path: str, args: PixelArguments) -> Frame:
+    """Only frame of a file, read as inputs are."""
+    with closing(open_files(path)) as source, naming(path):
+        found = [decode(capture, args) for capture in captures(source)]
+    if len(found) != 1:
+        raise InputError(f"{path}: expected one frame, it has {len(found)}")
+    return found[0]

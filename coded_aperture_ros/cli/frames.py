@@ -204,15 +204,6 @@ def _captures(
             logging.warning(f"{given}: read up to the damage: {source.damage}")
 
 
-def single_frame(path: str, args: PixelArguments) -> Frame:
-    """Only frame of a file, read as inputs are."""
-    with closing(open_files(path)) as source, naming(path):
-        found = [decode(capture, args) for capture in captures(source)]
-    if len(found) != 1:
-        raise InputError(f"{path}: expected one frame, it has {len(found)}")
-    return found[0]
-
-
 def decode(capture: Capture, args: PixelArguments) -> Frame:
     """Frame of a capture, as the options say that its pixels are stored."""
     return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer))
