@@ -26,7 +26,7 @@ from coded_aperture_ros.design.search.search import (
     search_epochs,
 )
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.pipeline import FramePipeline

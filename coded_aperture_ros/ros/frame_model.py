@@ -23,7 +23,7 @@ from coded_aperture_ros.likelihood.bank import (
     check_setting,
     load_bank,
 )
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.likelihood.bank.remap import remap_bank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.ros.camera_model import required_camera

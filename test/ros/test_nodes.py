@@ -35,7 +35,7 @@ from coded_aperture_ros.likelihood.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import load_camera, render_psf
 from coded_aperture_ros.optics.intrinsics import pixel_rays
 from coded_aperture_ros.ros import frame_node

@@ -11,7 +11,7 @@ from coded_aperture_ros.depth.stages.periodic_texture import may_be_periodic
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
+from coded_aperture_ros.likelihood.bank.prior import periodic_levels
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
 

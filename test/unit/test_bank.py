@@ -17,7 +17,7 @@ from coded_aperture_ros.likelihood.bank import (
     load_bank,
     save_bank,
 )
-from coded_aperture_ros.likelihood.bank.factoring import factor_weights
+from coded_aperture_ros.likelihood.bank.hypotheses import factor_weights
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 

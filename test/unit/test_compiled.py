@@ -10,7 +10,7 @@ from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.decoders.network.network import add_up, put_in_squares
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
-from coded_aperture_ros.likelihood.products import products_of_transforms
+from coded_aperture_ros.likelihood.numpy_engine import products_of_transforms
 
 RANDOM = np.random.default_rng(0)
 

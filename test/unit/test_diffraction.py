@@ -13,7 +13,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design import mask_openings
 from coded_aperture_ros.design.diffraction import airy_width_px, diffraction_warning
 from coded_aperture_ros.likelihood.bank import load_bank
-from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
+from coded_aperture_ros.likelihood.bank.for_camera import psf_stack_for_camera
 from coded_aperture_ros.optics import (
     MASK_NAMES,
     Camera,

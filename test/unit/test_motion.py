@@ -22,7 +22,7 @@ from coded_aperture_ros.likelihood.motion import (
 )
 from coded_aperture_ros.likelihood.motion.bank import expected_powers
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
-from coded_aperture_ros.likelihood.motion.occurring import occurring_motions, refined_motion
+from coded_aperture_ros.likelihood.motion.joint import occurring_motions, refined_motion
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
 from coded_aperture_ros.optics.rotation import expected_motion
 

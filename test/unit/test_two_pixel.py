@@ -20,8 +20,8 @@ from coded_aperture_ros.likelihood.two_pixel import (
     two_pixel_model,
     two_pixel_model_for_camera,
 )
-from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
 from coded_aperture_ros.likelihood.two_pixel.likelihood import TwoPixelEngine
+from coded_aperture_ros.likelihood.two_pixel.model import channel_kernel
 from coded_aperture_ros.optics import Mask, load_camera, render_psf, render_psf_stack
 
 BARE = DepthConfig(regularize="none", edge_correction=0.0, confidence_threshold=0.0, saturation=2.0)

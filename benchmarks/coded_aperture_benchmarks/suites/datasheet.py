@@ -18,7 +18,7 @@ from coded_aperture_ros.core.text import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 

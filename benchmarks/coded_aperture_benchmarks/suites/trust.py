@@ -27,7 +27,7 @@ from coded_aperture_ros.core.text import table
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.likelihood.bank import LearnConfig
-from coded_aperture_ros.likelihood.bank.learning import psf_stack_for_camera
+from coded_aperture_ros.likelihood.bank.for_camera import psf_stack_for_camera
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf
 from coded_aperture_ros.simulation.render import render_coded_frame

@@ -41,7 +41,7 @@ from coded_aperture_ros.likelihood.bank import (
     NaturalImagePrior,
     learn_bank_for_pattern,
 )
-from coded_aperture_ros.likelihood.bank.learning import check_levels
+from coded_aperture_ros.likelihood.bank.model import check_levels
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A bank may go this far beyond the planes, as a share of their range of blur sizes.

@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
-from coded_aperture_ros.likelihood.bank.periodic import periodic_levels
+from coded_aperture_ros.likelihood.bank.prior import periodic_levels
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = ""

@@ -2,20 +2,26 @@
 
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
-from coded_aperture_ros.likelihood.bank.fitting import check_frame_size, check_setting
-from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.likelihood.bank.learning import (
+from coded_aperture_ros.likelihood.bank.for_camera import (
     DEFAULT_LEVEL_COUNT,
-    LearnConfig,
-    learn_bank,
     learn_bank_for_camera,
     learn_bank_for_pattern,
     psf_stack_for_camera,
-    relearned,
     textures_of,
+)
+from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
+from coded_aperture_ros.likelihood.bank.learning import (
+    LearnConfig,
+    learn_bank,
+    relearned,
     with_all_frequencies,
 )
-from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank
+from coded_aperture_ros.likelihood.bank.model import (
+    DEFAULT_STRIDE_PX,
+    FilterBank,
+    check_frame_size,
+    check_setting,
+)
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern, ThinLens
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, image_prior, power_spectrum
 

@@ -6,8 +6,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.frames import PatchGrid
-from coded_aperture_ros.likelihood.bank.factoring import fitted_coefficients
-from coded_aperture_ros.likelihood.bank.hypotheses import Hypotheses
+from coded_aperture_ros.likelihood.bank.hypotheses import Hypotheses, fitted_coefficients
 from coded_aperture_ros.optics import Camera, Intrinsics
 from coded_aperture_ros.optics.wavefront import field_tangents
 

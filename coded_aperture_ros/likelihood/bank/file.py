@@ -11,8 +11,7 @@ from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.field import FieldFilters, FieldPsfs
-from coded_aperture_ros.likelihood.bank.learning import check_levels
-from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank
+from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank, check_levels
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Intrinsics, Mask, PsfStack

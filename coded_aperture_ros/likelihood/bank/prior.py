@@ -6,13 +6,29 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.errors import InputError
 
-# Photographs in linear light, where one spectrum has to do for all patches: fall-off and contrast
-# (variance).
-_SLOPE = 2.4
-_CONTRAST = 0.02
+# Photographs in linear light, where one spectrum has to do for all patches: exponent of the power
+# law, and contrast (variance).
+_PHOTO_SLOPE = 2.4
+_PHOTO_CONTRAST = 0.02
+
+# Periodic texture, as of cloth, wood and blinds, has one band of frequencies, which no power law
+# describes, and may look like usual texture at another depth. It is compared with usual texture at
+# a few levels: what it explains as well says nothing about depth.
+# Number of bands, about; the first and the last, cycles per pixel.
+_BAND_COUNT = 6
+_FIRST_BAND = 0.036
+_LAST_BAND = 0.22
+# Width of a band, octaves (standard deviation); its power over that of the power law below it, and
+# the exponent of that power law.
+_BAND_OCTAVES = 0.35
+_BAND_GAIN = 50.0
+_BAND_SLOPE = 2.0
+# Every so many levels have periodic texture, but no fewer than this.
+_PERIODIC_LEVEL_STEP = 4
+_MIN_PERIODIC_LEVELS = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,4 +106,28 @@ def _frequency(rows: int, columns: int) -> DoubleArray:
 
 def image_prior(shape: Shape) -> FloatArray:
     """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
-    return (_CONTRAST * power_spectrum(_SLOPE, shape)).astype(np.float32)
+    return (_PHOTO_CONTRAST * power_spectrum(_PHOTO_SLOPE, shape)).astype(np.float32)
+
+
+def periodic_spectra(kinds: int) -> list[Callable[[tuple[int, int]], DoubleArray]]:
+    """Power spectra of periodic texture, as functions of an image's shape (rows, columns).
+
+    Their number is the multiple of `kinds`, a bank's kinds of usual texture, nearest to six.
+    """
+    bands = np.geomspace(_FIRST_BAND, _LAST_BAND, kinds * max(1, round(_BAND_COUNT / kinds)))
+    return [
+        partial(power_spectrum, _BAND_SLOPE, deviation=partial(_band_log_gain, band))
+        for band in bands
+    ]
+
+
+def periodic_levels(levels: int) -> IndexArray:
+    """Indices of those of L levels that are compared with periodic texture [n]."""
+    count = max(_MIN_PERIODIC_LEVELS, -(-levels // _PERIODIC_LEVEL_STEP))
+    return np.unique(np.round(np.linspace(0, levels - 1, count)).astype(np.intp))
+
+
+def _band_log_gain(frequency: float, logarithm: DoubleArray) -> DoubleArray:
+    """Logarithm of a band's gain at the logarithms of frequencies."""
+    octaves = (logarithm - np.log(frequency)) / np.log(2)
+    return np.asarray(np.log(_BAND_GAIN) * np.exp(-((octaves / _BAND_OCTAVES) ** 2) / 2))

@@ -10,12 +10,12 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.likelihood.bank.learning import (
-    LearnConfig,
+from coded_aperture_ros.likelihood.bank.for_camera import (
     for_camera,
     learn_bank_for_camera,
     learn_bank_for_pattern,
 )
+from coded_aperture_ros.likelihood.bank.learning import LearnConfig
 from coded_aperture_ros.likelihood.bank.model import FilterBank
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.optics import Camera, image_distance

@@ -13,7 +13,7 @@ from coded_aperture_ros.likelihood.bank import (
     WindowedFourierBasis,
     with_all_frequencies,
 )
-from coded_aperture_ros.likelihood.bank.factoring import common_basis, fitted_coefficients
+from coded_aperture_ros.likelihood.bank.hypotheses import common_basis, fitted_coefficients
 from coded_aperture_ros.likelihood.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
 

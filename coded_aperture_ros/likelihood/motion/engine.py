@@ -7,8 +7,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
 from coded_aperture_ros.likelihood.motion.bank import MotionBank
-from coded_aperture_ros.likelihood.motion.exact import ExactEnergies, alike
-from coded_aperture_ros.likelihood.motion.refine import most_likely_motion
+from coded_aperture_ros.likelihood.motion.exact import ExactEnergies, alike, most_likely_motion
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
 
 # Patches whose hypotheses are tried at a time: what a product of matrices gives for one motion

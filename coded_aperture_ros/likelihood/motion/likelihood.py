@@ -14,8 +14,9 @@ from coded_aperture_ros.likelihood.motion.engine import MotionEngine
 from coded_aperture_ros.likelihood.motion.joint import Separated, separate, separate_expected
 from coded_aperture_ros.optics import Camera, PsfStack
 
-# A motion is as good as another that is so near, px, or so near for its length.
-_AGREEMENT_PX, _AGREEMENT_SHARE = 1.0, 0.2
+# A motion is as good as another that is so near, px, or so near relative to its length.
+_AGREEMENT_PX = 1.0
+_AGREEMENT_SHARE = 0.2
 # Motions that are expected to be this much longer than the longest are no such motions.
 _LONGER = 1.1
 

@@ -1,10 +1,9 @@
 """Depth for masks of a few equal holes: a pixel and its neighbours at the holes' offsets."""
 
-from coded_aperture_ros.likelihood.two_pixel.config import TwoPixelConfig
-from coded_aperture_ros.likelihood.two_pixel.holes import find_holes
+from coded_aperture_ros.likelihood.two_pixel.holes import find_holes, neighbour_lines
 from coded_aperture_ros.likelihood.two_pixel.likelihood import TwoPixelModel
-from coded_aperture_ros.likelihood.two_pixel.lines import neighbour_lines
 from coded_aperture_ros.likelihood.two_pixel.model import (
+    TwoPixelConfig,
     two_pixel_model,
     two_pixel_model_for_camera,
 )

@@ -13,8 +13,7 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import EngineLikelihood, plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.bank import DEFAULT_STRIDE_PX
 from coded_aperture_ros.likelihood.scoring import OWN_NOISE
-from coded_aperture_ros.likelihood.two_pixel.holes import Holes
-from coded_aperture_ros.likelihood.two_pixel.lines import NeighbourLine
+from coded_aperture_ros.likelihood.two_pixel.holes import Holes, NeighbourLine
 from coded_aperture_ros.optics import Camera, PsfStack
 
 # Patches whose hypotheses are tried at a time: large products, but no more than a cache holds.

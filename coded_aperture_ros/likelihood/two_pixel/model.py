@@ -1,20 +1,32 @@
 """The Gaussian model of a pixel and its neighbours, for every blur level."""
 
+import dataclasses
+
 import numpy as np
 import scipy.fft
+import scipy.ndimage
+from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.likelihood.bank import NaturalImagePrior, power_spectrum
+from coded_aperture_ros.likelihood.bank.for_camera import psf_stack_for_camera
 from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS
-from coded_aperture_ros.likelihood.bank.learning import check_levels, psf_stack_for_camera
-from coded_aperture_ros.likelihood.two_pixel.config import TwoPixelConfig
-from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
-from coded_aperture_ros.likelihood.two_pixel.holes import find_holes
+from coded_aperture_ros.likelihood.bank.model import check_levels
+from coded_aperture_ros.likelihood.two_pixel.holes import NeighbourLine, find_holes, neighbour_lines
 from coded_aperture_ros.likelihood.two_pixel.likelihood import BLOCK_PX, TwoPixelModel
-from coded_aperture_ros.likelihood.two_pixel.lines import NeighbourLine, neighbour_lines
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
+# Differences to the right, downward, and along the two diagonals; P = 2 in the thesis.
+_DIFFERENCES = (
+    np.array([[-1.0, 1.0]]),
+    np.array([[-1.0], [1.0]]),
+    np.array([[-1.0, 0.0], [0.0, 1.0]]),
+    np.array([[0.0, -1.0], [1.0, 0.0]]),
+)
+# Directions (row, column) that are nearer to an axis than this have the other axis across them.
+_NEARLY_AXIS = np.tan(np.pi / 8)
 # White texture, as thesis eq. 5.4 has it, and photographs' fall-offs of power with frequency.
 _SLOPES = (0.0, 1.6, 2.4, 3.2)
 _SMALLEST_PERIOD = 256
@@ -29,6 +41,61 @@ _JITTER = 1e-6
 # 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for four_hole; 4 times is
 # no better.
 _SMOOTHING = 2
+
+
+@dataclasses.dataclass(frozen=True)
+class TwoPixelConfig:
+    """Which neighbours and derivatives are compared, and over which window."""
+
+    window_px: int = option(
+        48,
+        "Side of the square that local statistics are taken from; a multiple of 8. Larger is more "
+        "accurate on planes, smaller is sharper at edges, none is faster.",
+        unit="px",
+        within=(16, 256),
+    )
+    derivatives: int = option(
+        2,
+        "Derivatives of the frame that are compared: 2 are the horizontal and the vertical one, 4 "
+        "the two diagonal ones as well.",
+        within=(1, 4),
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+def channel_kernel(
+    channel: int, direction: NDArray[np.floating] | None = None, smoothing: int = 0
+) -> FloatArray:
+    """Return the kernel [k, k], odd k, of a derivative that is smoothed across a direction.
+
+    Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
+    blur has left changes slowly from line to line. To be correlated, as by ``cv2.filter2D``.
+
+    `channel` is 0 to 3: the difference to the right, downward, or along a diagonal. The direction
+    [2] is (row, column). Neighbours across it are averaged `smoothing` times, an even number.
+    """
+    kernel = _DIFFERENCES[channel]
+    if direction is not None and smoothing:
+        weights = np.ones(1)
+        for _ in range(smoothing):
+            weights = np.convolve(weights, [0.5, 0.5])
+        down, right = (float(part) for part in direction)
+        if abs(down) <= _NEARLY_AXIS * abs(right):
+            across = weights[:, None]
+        elif abs(right) <= _NEARLY_AXIS * abs(down):
+            across = weights[None, :]
+        else:
+            across = np.diag(weights)
+            if down * right > 0:
+                across = across[:, ::-1]
+        wider = np.pad(kernel, [(side // 2, side // 2) for side in across.shape])
+        kernel = scipy.ndimage.convolve(wider, across, mode="constant")
+    side = max(kernel.shape) // 2 * 2 + 1
+    odd = np.zeros((side, side), np.float32)
+    odd[: kernel.shape[0], : kernel.shape[1]] = kernel
+    return odd
 
 
 def two_pixel_model_for_camera(

@@ -5,8 +5,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.likelihood.two_pixel.derivatives import channel_kernel
 from coded_aperture_ros.likelihood.two_pixel.holes import Holes
+from coded_aperture_ros.likelihood.two_pixel.model import channel_kernel
 
 _CHANNELS = 2
 _LEAST_VARIANCE = 1e-12

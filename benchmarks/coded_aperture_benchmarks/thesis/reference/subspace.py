@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.patches import PatchGrid
 from coded_aperture_ros.likelihood import Cost, relative_cost
-from coded_aperture_ros.likelihood.bank.learning import check_levels
+from coded_aperture_ros.likelihood.bank.model import check_levels
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
