@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, I
 from coded_aperture_ros.likelihood.motion.config import MotionConfig
 from coded_aperture_ros.likelihood.motion.kernels import Motions
 
-# Cost of a motion (natural logarithm) is limited to this where one looks for the motions that occur;
+# Cost of a motion (natural logarithm) is limited to this in the search for those that occur:
 # beyond, its model is wrong.
 _MAX_OCCURRING_COST = 27.0
 # Texture with a direction of its own makes a wrong motion cheaper by about so much.
