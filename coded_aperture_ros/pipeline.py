@@ -342,7 +342,7 @@ class FramePipeline:
         same as where depth comes from elsewhere.
         """
         deblur = None if self._deblurrer is None else self._deblurrer.config
-        known = KnownNoise.of(deblur, self.depth_config, self.camera, self.model)
+        known = KnownNoise.from_sources(deblur, self.depth_config, self.camera, self.model)
         return channel_noise(frame.picture, known)
 
     def _follow(self, stamp_ns: int | None) -> None:

@@ -161,7 +161,7 @@ def network_inputs(
     around = LocalContext.of(observed.grey, observed.noise.typical)
     sizes = banks.bank.blur_sizes_px * how.scale
     near = {"far": 0.0, "near": 1.0, "both": 0.5}[scene.side]
-    truth = observed.grid.at_centres(true_px)
+    truth = observed.grid.centre_values(true_px)
     about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
         "costs": _padded(cost_features(scales, around, cells, sizes, near), CELLS),

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.contents import Topic
-from coded_aperture_ros.frames.decoding import lost_by_compression
+from coded_aperture_ros.frames.decoding import quantisation_sigma
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_compressed,
@@ -42,7 +42,7 @@ class Picture:
     mosaic : str
         Order of the colour filters, where each pixel has one.
     lost : float
-        Noise that compression has hidden; see `lost_by_compression`.
+        Noise that compression has hidden; see `quantisation_sigma`.
     """
 
     header: Any
@@ -71,7 +71,7 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
         mosaic = parse_encoding(message.encoding).mosaic
         return Picture(message.header, array_from_image(message), encoding, mosaic)
     pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
-    lost = lost_by_compression(bytes(message.data))
+    lost = quantisation_sigma(bytes(message.data))
     return Picture(message.header, pixels, encoding, compression_loss=lost)
 
 

@@ -19,7 +19,7 @@ from coded_aperture_ros.depth import Health, Layer
 from coded_aperture_ros.frames import ExpectedMotion, Frame, Gamma, PixelFormat, View
 from coded_aperture_ros.io.messages import MessageError, pixels_from_frame
 from coded_aperture_ros.likelihood.bank import check_frame_size
-from coded_aperture_ros.likelihood.choose import bank_of
+from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
@@ -210,7 +210,7 @@ class FrameRecipe:
         """Return a new processor; an `InputError` if the bank does not suit the frames."""
         pipeline = self.new_pipeline(self.camera)
         view = self.view
-        bank = bank_of(pipeline.estimator.model)
+        bank = filter_bank(pipeline.estimator.model)
         if bank is not None:
             check_frame_size(bank, view.whole_width, view.whole_height)
         camera = self.camera.for_view(view)

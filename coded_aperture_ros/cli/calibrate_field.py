@@ -115,7 +115,7 @@ def misplaced_planes(found: FieldFit) -> list[str]:
 
 def _picture(camera: Camera, blur_size_px: DoubleArray) -> FloatArray:
     """Return the PSFs of the parts of the image, side by side as they lie."""
-    psfs = FieldPsfs.of(camera, blur_size_px).psfs[:, 0]  # type: ignore[union-attr]
+    psfs = FieldPsfs.from_camera(camera, blur_size_px).psfs[:, 0]  # type: ignore[union-attr]
     tiles = np.pad(psfs / psfs.max(), ((0, 0), (1, 1), (1, 1)))
     drawn = np.vstack([np.hstack(row) for row in tiles.reshape(-1, COLUMNS, *tiles.shape[1:])])
     return cv2.resize(drawn, None, fx=4, fy=4, interpolation=cv2.INTER_NEAREST)

@@ -38,7 +38,7 @@ from coded_aperture_ros.depth.points import points_of_frame
 from coded_aperture_ros.io import write_depth
 from coded_aperture_ros.io.movie_file import movie
 from coded_aperture_ros.io.points_file import write_points
-from coded_aperture_ros.likelihood.choose import bank_of
+from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera_file import camera_files
 from coded_aperture_ros.pipeline import FramePipeline
@@ -127,7 +127,7 @@ def _estimates(
     skipped: SkippedInputs,
 ) -> Results:
     """Yield every frame, what is estimated of it, and how long that took, s; video by video."""
-    bank = bank_of(pipeline.estimator.model)
+    bank = filter_bank(pipeline.estimator.model)
     motion = known_motion(args, camera)
     new_model = None if args.bank else lambda resized: make_pipeline(args, resized).model
 

@@ -26,11 +26,11 @@ from coded_aperture_ros.likelihood.bank import (
     FilterBank,
     LearnConfig,
     NaturalImagePrior,
+    describe_textures,
     learn_bank,
     learn_bank_for_camera,
     load_bank,
     save_bank,
-    textures_of,
 )
 from coded_aperture_ros.likelihood.bank.remap import remap_bank
 from coded_aperture_ros.optics import (
@@ -198,7 +198,7 @@ def _learned(args: Arguments, camera: Camera | None) -> FilterBank:
                 camera, near_m, far_m, args.count, args.filters, progress, prior=prior
             )
     stack, mask, source = _measured(args, args.psfs) if args.psfs else _rendered(args)
-    learned_from = f"{source}, {textures_of(prior)}"
+    learned_from = f"{source}, {describe_textures(prior)}"
     with naming(args.psfs or source):
         return learn_bank(stack, args.filters, prior, learned_from, mask, progress)
 

@@ -158,7 +158,7 @@ class Deblurrer:
         recorded = frame
         frame, measured, clipped = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
-        noise = noise or channel_noise(frame, KnownNoise.of(self.config))
+        noise = noise or channel_noise(frame, KnownNoise.from_sources(self.config))
         channels, frame_count = self._video.add(opponents(frame), noise)
         known = known_pixels(blur_size_px, frame.shape)
         data = channels, frame_count, measured, clipped, blur, known, motion, noise
@@ -201,7 +201,7 @@ class Deblurrer:
         for each in (frame, sharp):
             check_frame(each)
         frame, measured, _ = measured_pixels(frame, self.config.saturation)
-        noise = noise or channel_noise(frame, KnownNoise.of(self.config))
+        noise = noise or channel_noise(frame, KnownNoise.from_sources(self.config))
         blur = filled_blur_map(blur_size_px, frame)
         operator = blur_operator(self._basis(), blur, self._workers, self.config.occlusion)
         seen = crop_to_frame(operator.adjoint(measured.astype(np.float32))[0], operator)

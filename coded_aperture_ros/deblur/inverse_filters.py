@@ -12,7 +12,7 @@ from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blur_map import local_variance
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS, InverseBasis
-from coded_aperture_ros.frames import periodic, periodic_shape
+from coded_aperture_ros.frames import extend_periodically, periodic_shape
 from coded_aperture_ros.optics import PsfStack
 
 # How finely maps are looked up between levels.
@@ -112,7 +112,9 @@ class InverseFilters:
     ) -> FloatArray:
         height, width = channel.shape
         shape = periodic_shape(channel.shape, self._extension_px)
-        spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
+        spectrum = scipy.fft.rfft2(
+            extend_periodically(channel, shape), workers=self._workers.threads
+        )
         sums = [np.zeros_like(channel) for _ in range(self._workers.threads)]
 
         def add(kernel: int, thread: int) -> None:

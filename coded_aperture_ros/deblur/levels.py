@@ -70,5 +70,5 @@ def blur_levels(
     if depth_range_m is None:
         raise InputError("deblurring needs a bank, or a depth range")
     stack = psf_stack_for_camera(camera, *depth_range_m, level_count, "deblurring")
-    field = FieldPsfs.of(camera, stack.blur_sizes_px)
+    field = FieldPsfs.from_camera(camera, stack.blur_sizes_px)
     return RenderedLevels(stack, camera.mask.digest, field=field)

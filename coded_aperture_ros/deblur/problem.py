@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
-from coded_aperture_ros.frames import StaticAverage, filled
+from coded_aperture_ros.frames import StaticAverage, fill_unusable
 
 # One bad pixel below this would spoil the whole frame through its Fourier transform.
 _MIN_LIGHT = -1.0
@@ -40,7 +40,7 @@ def measured_pixels(
     recorded = frame[at_least]
     channels = zip(np.atleast_3d(frame).T, np.atleast_3d(measured).T, strict=True)
     frame = np.stack(
-        [filled(np.ascontiguousarray(channel), mask) for channel, mask in channels]
+        [fill_unusable(np.ascontiguousarray(channel), mask) for channel, mask in channels]
     ).T.reshape(frame.shape)
     frame[at_least] = np.maximum(frame[at_least], recorded)
     known = measured | at_least

@@ -103,7 +103,7 @@ class DepthEstimator:
         # As it was given, and as this camera's view has it.
         self.source_model = model
         self.model = model.for_view(camera)
-        self.known_noise = KnownNoise.of(self.config, camera, model)
+        self.known_noise = KnownNoise.from_sources(self.config, camera, model)
         self._levels = Levels.of(model, camera)
         self._regularize = regularize
         self._second_focus = second_focus

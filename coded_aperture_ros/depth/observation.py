@@ -9,9 +9,9 @@ from coded_aperture_ros.frames import (
     GreyNoise,
     KnownNoise,
     PatchGrid,
-    brightness_at,
     grey_noise,
     usable_windows,
+    window_brightness,
 )
 
 
@@ -46,7 +46,7 @@ class Observation:
 
         What compression has lost, `least_noise`, is in the mean of the channels as in each.
         """
-        brightness = brightness_at(grey, grid)
+        brightness = window_brightness(grey, grid)
         usable = np.full(brightness.shape, True)
         if unusable is not None:
             usable = usable_windows(unusable, grid)

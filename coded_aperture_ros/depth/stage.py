@@ -18,7 +18,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import Health
 from coded_aperture_ros.depth.upsample import MapGrid
-from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_of_patches
+from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
 
 
@@ -124,7 +124,7 @@ class Work:
         deviation: Any = self.observation.noise.deviation
         if self.averaged_frames is None:
             return deviation
-        return deviation / np.sqrt(frames_of_patches(self.averaged_frames, self.observation.grid))
+        return deviation / np.sqrt(frames_per_patch(self.averaged_frames, self.observation.grid))
 
     @property
     def map_grid(self) -> MapGrid:

@@ -3,7 +3,13 @@
 from coded_aperture_ros.frames.decoding import decode_picture
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.frame import Frame, PixelFormat
-from coded_aperture_ros.frames.grey import channel_mean, check_frame, filled, grey_image, resampled
+from coded_aperture_ros.frames.grey import (
+    channel_mean,
+    check_frame,
+    fill_unusable,
+    grey_image,
+    resampled,
+)
 from coded_aperture_ros.frames.light import (
     SRGB,
     Gamma,
@@ -27,9 +33,13 @@ from coded_aperture_ros.frames.noise import (
     estimate_noise,
     grey_noise,
 )
-from coded_aperture_ros.frames.patches import PatchGrid, brightness_at, usable_windows
-from coded_aperture_ros.frames.periodic import periodic, periodic_shape, transfer_function
-from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches, join_averages
+from coded_aperture_ros.frames.patches import PatchGrid, usable_windows, window_brightness
+from coded_aperture_ros.frames.periodic import (
+    extend_periodically,
+    periodic_shape,
+    transfer_function,
+)
+from coded_aperture_ros.frames.static_average import StaticAverage, frames_per_patch, join_averages
 from coded_aperture_ros.frames.view import View, is_same_view
 
 __all__ = [
@@ -44,7 +54,6 @@ __all__ = [
     "PixelFormat",
     "StaticAverage",
     "View",
-    "brightness_at",
     "channel_mean",
     "channel_noise",
     "check_frame",
@@ -54,8 +63,9 @@ __all__ = [
     "decode_picture",
     "encode",
     "estimate_noise",
-    "filled",
-    "frames_of_patches",
+    "extend_periodically",
+    "fill_unusable",
+    "frames_per_patch",
     "gamma_from_text",
     "grey_from_mosaic",
     "grey_image",
@@ -64,10 +74,10 @@ __all__ = [
     "join_averages",
     "linear_from_pixels",
     "mosaic_from_colour",
-    "periodic",
     "periodic_shape",
     "pixels_from_linear",
     "resampled",
     "transfer_function",
     "usable_windows",
+    "window_brightness",
 ]

@@ -27,7 +27,7 @@ def decode_picture(data: bytes | memoryview, flags: int = AS_STORED) -> NDArray 
         return None
 
 
-def lost_by_compression(data: bytes) -> float:
+def quantisation_sigma(data: bytes) -> float:
     """Return about how much noise JPEG has hidden in a picture: 0 where it is none.
 
     Standard deviation, of stored values from 0 to 1: a third of the rounding of the median

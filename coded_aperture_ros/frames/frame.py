@@ -141,7 +141,7 @@ class PixelFormat:
         pixels : ndarray, uint8, uint16 or float [rows, columns] or [rows, columns, RGB]
             See `light`.
         compression_loss : float
-            Noise that lossy compression has hidden, as `lost_by_compression` has it, of stored
+            Noise that lossy compression has hidden, as `quantisation_sigma` has it, of stored
             values from 0 to 1.
         colour : bool
             Whether a mosaic is turned into a colour picture, too, which takes time.

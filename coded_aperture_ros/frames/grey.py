@@ -52,7 +52,7 @@ def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolAr
         brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
     usable = brightest < saturation
     usable &= grey > _DARKEST
-    return filled(grey, usable), ~usable
+    return fill_unusable(grey, usable), ~usable
 
 
 def resampled(image: FloatArray, scale: float) -> FloatArray:
@@ -67,7 +67,7 @@ def resampled(image: FloatArray, scale: float) -> FloatArray:
     return np.asarray(cv2.resize(image, (width, height), interpolation=way), np.float32)
 
 
-def filled(image: FloatArray, usable: BoolArray) -> FloatArray:
+def fill_unusable(image: FloatArray, usable: BoolArray) -> FloatArray:
     """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
     known = image.copy()
     known[~usable] = 0

@@ -12,7 +12,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.grey import grey_image
-from coded_aperture_ros.frames.patches import PatchGrid, brightness_at, mean_at
+from coded_aperture_ros.frames.patches import PatchGrid, window_brightness, window_means
 
 # Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
 # variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would
@@ -42,7 +42,7 @@ def high_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray = ALTERNATI
     """
     passed = cv2.sepFilter2D(grey, -1, kernel, kernel)
     cv2.multiply(passed, passed, passed)
-    return mean_at(passed, grid, grid.window_px * 3 // 4)
+    return window_means(passed, grid, grid.window_px * 3 // 4)
 
 
 def estimate_noise(high_power: FloatArray, shot_variance: FloatArray | None = None) -> float:
@@ -75,7 +75,7 @@ class KnownNoise:
     noise_gain: float = 0.0  # variance of shot noise per unit of light; 0: none
 
     @classmethod
-    def of(cls, *sources: HasNoise | None) -> "KnownNoise":
+    def from_sources(cls, *sources: HasNoise | None) -> "KnownNoise":
         """Take each value from the first source that has it.
 
         This is the one precedence of the whole package: options that were set, then the camera
@@ -167,6 +167,6 @@ def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
                 f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
             )
         grid = PatchGrid.covering(grey.shape, window_px, window_px)
-        sigma = grey_noise(grey, grid, known, brightness=brightness_at(grey, grid)).least
+        sigma = grey_noise(grey, grid, known, brightness=window_brightness(grey, grid)).least
     light = max(float(grey.mean()), 0.0) if known.noise_gain else 0.0
     return float(np.sqrt(sigma**2 + known.noise_gain * light))

@@ -68,7 +68,7 @@ class PatchGrid:
         """Pixel column of the centre of each column of windows."""
         return self.left + self.window_px // 2 + self.stride_px * np.arange(self.columns)
 
-    def at_centres(self, values: FloatArray, cell_px: int = 1) -> FloatArray:
+    def centre_values(self, values: FloatArray, cell_px: int = 1) -> FloatArray:
         """Return a map of the frame, by cells of so many pixels, at the centre of every window."""
         rows = np.minimum(self.row_centres // cell_px, len(values) - 1)
         columns = np.minimum(self.column_centres // cell_px, values.shape[1] - 1)
@@ -80,18 +80,18 @@ def usable_windows(unusable: BoolArray, grid: PatchGrid) -> BoolArray:
     # The Hann window's weight is within half its side around the centre, for the most part.
     side = grid.window_px // 2
     share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
-    return grid.at_centres(share) <= _TOLERATED
+    return grid.centre_values(share) <= _TOLERATED
 
 
-def brightness_at(grey: FloatArray, grid: PatchGrid) -> FloatArray:
+def window_brightness(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the mean brightness around the centre of every window of a grid [rows, columns]."""
-    return mean_at(grey, grid, grid.window_px // 2)
+    return window_means(grey, grid, grid.window_px // 2)
 
 
-def mean_at(values: FloatArray, grid: PatchGrid, side_px: int) -> FloatArray:
+def window_means(values: FloatArray, grid: PatchGrid, side_px: int) -> FloatArray:
     """Return the mean of a map of the frame's size over a square around every window's centre."""
     # Blocks of the frame first: the squares are much larger than they are.
     scale = 1 / _BLOCK_PX
     blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     side = max(side_px // _BLOCK_PX, 1)
-    return grid.at_centres(cv2.blur(blocks, (side, side)), _BLOCK_PX)
+    return grid.centre_values(cv2.blur(blocks, (side, side)), _BLOCK_PX)

@@ -13,7 +13,7 @@ def periodic_shape(shape: tuple[int, ...], extension_px: int) -> Shape:
     return rows, columns
 
 
-def periodic(image: FloatArray, shape: Shape) -> FloatArray:
+def extend_periodically(image: FloatArray, shape: Shape) -> FloatArray:
     """Extend an image below and to the right, so that it goes on smoothly with its first row.
 
     The result, float32, is of a larger `shape` (rows, columns), see `periodic_shape`. A step

@@ -73,11 +73,11 @@ class StaticAverage:
         return self._mean, self._count
 
 
-def frames_of_patches(frames: FloatArray, grid: PatchGrid) -> FloatArray:
+def frames_per_patch(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return how many frames the mean is of, as every patch's noise has it [rows, columns]."""
     side = max(grid.window_px // 2 // _SQUARE_PX, 1)
     share = cv2.blur(1 / frames, (side, side))
-    return np.asarray(1 / grid.at_centres(share, _SQUARE_PX), np.float32)
+    return np.asarray(1 / grid.centre_values(share, _SQUARE_PX), np.float32)
 
 
 def join_averages(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.frames.decoding import decode_picture, lost_by_compression
+from coded_aperture_ros.frames.decoding import decode_picture, quantisation_sigma
 from coded_aperture_ros.frames.light import Gamma, linear_from_pixels, pixels_from_linear
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
@@ -91,7 +91,7 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
 def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
     """Pixels as stored (uint8, uint16 or float32), and the noise that compression has hidden.
 
-    See `read_image` and `lost_by_compression`.
+    See `read_image` and `quantisation_sigma`.
     """
     data = _read_data(Path(path))
     pixels = _decode(Path(path), data)
@@ -111,7 +111,7 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
         return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
-    return pixels, lost_by_compression(data)
+    return pixels, quantisation_sigma(data)
 
 
 def write_image(

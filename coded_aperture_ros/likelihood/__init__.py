@@ -1,4 +1,4 @@
-"""From a frame to the cost of every blur level: the interface, scoring, and what computes it."""
+"""Cost of every blur level of a frame: the interface of the methods, scoring, and engines."""
 
 from coded_aperture_ros.likelihood.backends import (
     BACKENDS,

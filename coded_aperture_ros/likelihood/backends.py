@@ -1,4 +1,4 @@
-"""What computes energies, NumPy or PyTorch on the processor or a GPU, and their likelihood."""
+"""Engines: energies by NumPy or PyTorch, on the processor or a GPU, and their likelihood."""
 
 from importlib.util import find_spec
 from typing import Protocol
@@ -18,9 +18,9 @@ BACKENDS = ("numpy", "torch", "cuda", "auto")
 
 
 class Engine(Protocol):
-    """Computes energies: twice the negative log-likelihood of every level, but for a constant.
+    """Energies: twice the negative log-likelihood of every level, but for a constant.
 
-    All maps are those of the frame that `project` took last; they are overwritten by the next.
+    All maps are of the last projected frame; the next one overwrites them.
     """
 
     name: str
@@ -30,27 +30,39 @@ class Engine(Protocol):
         """Take a frame [rows, columns] of the planned size, linear light, without NaN."""
 
     def energies(self, noise: PerPatch) -> FloatArray:
-        """Return the energy of every level for every patch [rows, columns, L].
+        """Energy of every level for every patch [rows, columns, L].
 
-        For a standard deviation of the noise, > 0, of the frame or of each patch.
+        Parameters
+        ----------
+        noise : float, or ndarray, float32 [rows, columns]
+            Standard deviation, linear light, > 0, of the frame or of each patch.
         """
 
     def close(self) -> None:
-        """Let go of threads and device memory."""
+        """Release threads and device memory."""
 
 
 class EngineLikelihood:
-    """Cost volumes by an engine; see `Likelihood`, and `relative_cost` for the correlation.
+    """Cost volumes by an engine; a `Likelihood`.
 
-    Of its first `levels`, if not of all; the others are those of periodic texture, see `Cost`.
+    Parameters
+    ----------
+    engine : Engine
+    window_correlation : float
+        See `relative_cost`.
+    levels : int, optional
+        Number of the engine's levels that are blur levels, by default all; those after them are
+        of periodic texture, see `Cost.periodic`.
     """
 
     def __init__(
         self, engine: Engine, window_correlation: float, levels: int | None = None
     ) -> None:
-        self.backend, self.grid = engine.name, engine.grid
+        self.backend = engine.name
+        self.grid = engine.grid
         self._engine = engine
-        self._window_correlation, self._levels = window_correlation, levels
+        self._window_correlation = window_correlation
+        self._levels = levels
 
     def cost(
         self,
@@ -59,35 +71,46 @@ class EngineLikelihood:
         usable: BoolArray | None = None,
         prior: object = None,
     ) -> Cost:
-        """See `Likelihood.cost`."""
+        """Cost of every level for every patch; see `Likelihood.cost`."""
         timer = LapTimer()
         self._engine.project(grey)
         timer.lap("spectra")
         energies = self._engine.energies(noise)
         count = self._levels or energies.shape[-1]
-        energies, others = energies[..., :count], energies[..., count:]
+        energies, periodic_energies = energies[..., :count], energies[..., count:]
         least = energies.min(axis=-1, keepdims=True)
         volume, periodic = (
             relative_cost(part, self._window_correlation, usable, least)
-            for part in (energies, others)
+            for part in (energies, periodic_energies)
         )
         # A window has about as many numbers as pixels.
         misfit = least[..., 0] / np.float32(self.grid.window_px**2)
         timer.lap("energies")
-        tried = periodic if periodic.shape[-1] else None
-        return Cost(volume, misfit, periodic=tried, seconds=timer.seconds)
+        return Cost(
+            volume, misfit, periodic=periodic if periodic.shape[-1] else None, seconds=timer.seconds
+        )
 
     def close(self) -> None:
-        """End the engine's threads, and let go of its memory."""
+        """Release the engine's threads and memory."""
         self._engine.close()
 
 
 def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
-    """Return what computes the energies of a plan, with so many threads of the processor.
+    """Engine for the energies of a plan.
 
-    Backends are `numpy`; `torch`, on the processor; `cuda`, which is torch on a GPU; `auto` takes
-    the GPU where there is one, and NumPy elsewhere. Raises `InputError` if the backend is not
-    there, or there are fewer processors than threads.
+    Parameters
+    ----------
+    plan : Plan
+    backend : {"numpy", "torch", "cuda", "auto"}
+        `torch` runs on the processor, `cuda` is torch on a GPU; `auto` takes the GPU where there
+        is one, and NumPy elsewhere.
+    threads : int
+        Threads of the processor.
+
+    Raises
+    ------
+    InputError
+        If the backend is not installed, or there are fewer processors than threads.
     """
     check_backend(backend)
     device = torch_device(backend)
@@ -99,16 +122,26 @@ def new_engine(plan: Plan, backend: str = "numpy", threads: int = 1) -> Engine:
 
 
 def torch_device(backend: str) -> str | None:
-    """Return PyTorch's name of the device of a backend that is there; None for NumPy."""
+    """PyTorch's name of the device of an installed backend; None for NumPy."""
     if backend == "auto":
         backend = "cuda" if _has_cuda() else "numpy"
     return {"torch": "cpu", "cuda": "cuda"}.get(backend)
 
 
 def check_backend(backend: str) -> None:
-    """Check that a backend is there.
+    """Check that a backend is installed.
 
-    Raises `InputError`, saying what is missing.
+    Raises
+    ------
+    InputError
+        Saying what is missing.
+
+    Examples
+    --------
+    >>> check_backend("numpy")
+    >>> check_backend("jax")
+    Traceback (most recent call last):
+    coded_aperture_ros.core.errors.InputError: backend: 'jax' is not one of numpy, torch, cuda, auto
     """
     if backend not in BACKENDS:
         raise InputError(f"backend: {backend!r} is not one of {', '.join(BACKENDS)}")

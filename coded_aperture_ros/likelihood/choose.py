@@ -1,4 +1,4 @@
-"""Which method turns frames into depth: the one place that chooses, for node, command and bag."""
+"""The model of a method by its name: the one place that chooses, for node, command and bag."""
 
 import dataclasses
 
@@ -30,7 +30,7 @@ def new_model(
     motion: MotionConfig | None = None,
     progress: Progress = iter,
 ) -> LikelihoodModel:
-    """Return what a method needs to know about a mask.
+    """Model of a mask for a method of depth estimation.
 
     Parameters
     ----------
@@ -38,22 +38,38 @@ def new_model(
         A filter bank, for any mask; a pixel and its neighbours, for a mask of two to eight equal
         holes; or a filter bank that tells blur by motion from blur by defocus.
     camera : Camera, optional
-        Needed where something is learned here.
+        Needed without a bank.
     bank : FilterBank, optional
         For `bank` and `motion`; without it one is learned.
     depth_range_m : (float, float), optional
-        Nearest and farthest depth, where no bank is given.
+        Nearest and farthest depth, m; needed without a bank.
     level_count : int
-        Blur levels in that range.
+        Number of blur levels in that range.
     learn, two_pixel, motion : LearnConfig, TwoPixelConfig, MotionConfig, optional
         Settings of the methods.
     progress : callable, optional
-        Wraps the iteration over motions, as ``tqdm.tqdm`` does.
+        Progress callback around the iteration over motions, such as ``tqdm.tqdm``.
+
+    Returns
+    -------
+    FilterBank, TwoPixelModel or MotionModel
 
     Raises
     ------
     InputError
         If the method is unknown, or something that it needs is missing or does not suit it.
+
+    References
+    ----------
+    Martinello 2012, chapters 5 (two_pixel), 6 (bank) and 7 (motion).
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("two_hole"), 46.0)
+    >>> model = new_model("two_pixel", camera=camera, depth_range_m=(1.2, 2.4), level_count=5)
+    >>> model.learned_from
+    'mask two_hole, 2 equal openings'
     """
     if method not in METHODS:
         raise InputError(f"method: {method!r} is not one of {', '.join(METHODS)}")
@@ -72,18 +88,15 @@ def new_model(
     return MotionModel(motions, settings)
 
 
-def bank_of(model: LikelihoodModel) -> FilterBank | None:
-    """Return the filter bank of a model that has one."""
+def filter_bank(model: LikelihoodModel) -> FilterBank | None:
+    """Filter bank of blur by defocus of a model; None if the method has none."""
     if isinstance(model, MotionModel):
         return model.bank.defocus
     return model if isinstance(model, FilterBank) else None
 
 
-def with_settings(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
-    """Return a model with other settings of its method, without learning it anew.
-
-    It is the same one where nothing changes.
-    """
+def with_motion_config(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
+    """Model with other settings of motion, without learning; itself if nothing changes."""
     if isinstance(model, MotionModel) and model.config != motion:
         return dataclasses.replace(model, config=motion)
     return model

@@ -1,4 +1,4 @@
-"""What a filter bank means for frames of one size: constant matrices that every backend shares.
+"""Constant matrices of a filter bank for frames of one size, which all engines share.
 
 The power of a patch at frequency ``(v, h)`` is ``|sum_y w_y e^(-ivy) sum_x w_x e^(-ihx) g_yx|^2``
 with the Hann window ``w``. The sum over ``x`` is done once for every pixel row: patches above each
@@ -27,14 +27,14 @@ from coded_aperture_ros.core.arrays import (
     as_floats,
 )
 from coded_aperture_ros.frames import PatchGrid
-from coded_aperture_ros.likelihood.scoring import OWN_NOISE, plausible_ratios
+from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE, plausible_ratios
 
-# What is smaller than this share of the largest is rounding.
+# Weights below this share of the largest are rounding.
 _NEGLIGIBLE = 1e-6
 
 
 class Filters(Protocol):
-    """What a plan needs of a filter bank; see `FilterBank`."""
+    """Part of a filter bank that a plan is made of; see `FilterBank`."""
 
     @property
     def window_px(self) -> int:
@@ -46,15 +46,15 @@ class Filters(Protocol):
 
     @property
     def coefficients(self) -> FloatArray:
-        """Weights in the common basis [R, S, slopes, L]."""
+        """Weights of the hypotheses in the common basis [R, S, slopes, L]."""
 
     @property
     def log_determinants(self) -> FloatArray:
-        """Of every hypothesis [S, slopes, L]."""
+        """Log-determinant of every hypothesis [S, slopes, L]."""
 
     @property
     def window(self) -> FloatArray:
-        """The window that patches are multiplied by [N]."""
+        """Window of the patches along one side [N]."""
 
     @property
     def functions_of_power(self) -> FloatArray:
@@ -62,26 +62,26 @@ class Filters(Protocol):
 
     @property
     def contrasts(self) -> Sequence[float]:
-        """The variances of texture that are tried."""
+        """Variances of texture."""
 
     @property
     def field(self) -> "PartFilters | None":
-        """Of the parts of an image, where they differ."""
+        """Filters of the parts of an image; None where all parts share them."""
 
 
 class PartFilters(Protocol):
-    """What a plan needs of filters that differ from part to part of an image."""
+    """Filters that differ from part to part of an image; see `FieldFilters`."""
 
     @property
     def coefficients(self) -> FloatArray:
-        """As those of `Filters`, of every part [G, R, S, slopes, L]."""
+        """Weights of every part's hypotheses [G, R, S, slopes, L]."""
 
     @property
     def log_determinants(self) -> FloatArray:
-        """As those of `Filters`, of every part [G, S, slopes, L]."""
+        """Log-determinants of every part's hypotheses [G, S, slopes, L]."""
 
-    def part_of(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
-        """Return which part every patch is in [rows, columns]; the parts are rectangles."""
+    def part_index(self, grid: PatchGrid, shape: tuple[int, ...]) -> IndexArray:
+        """Index of the part of every patch [rows, columns]; the parts are rectangles."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,9 +95,19 @@ class Area:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """Matrices of the transforms, the common basis and the hypotheses."""
+    """Matrices of the transforms, the common basis and the hypotheses.
 
-    grid: PatchGrid  # where the patches lie, ``rows`` by ``columns``
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> plan = Plan.for_frames(bank, (120, 160), stride_px=8)
+    >>> plan.levels, plan.grid.rows, plan.grid.columns
+    (3, 10, 15)
+    """
+
+    grid: PatchGrid
     horizontal: FloatArray  # [2 H, N]; windowed cosines, then sines, of 0 to H - 1 cycles
     # [2 V + U, N]; windowed cosines, then sines, of 1 to V cycles; then the U cosines without a
     # sine.
@@ -106,24 +116,27 @@ class Plan:
     # [R + 1, (2 V + U) H]; the common basis and the multiplicity, as functions of ``q`` of 1 to V
     # cycles, of ``x`` of these, and of the power of those without a sine.
     features: FloatArray
-    # [2 V + U]; of 0 to H - 1 cycles, how many the features look at: nothing above the highest
-    # frequency, nor any ``x`` behind masks that are their own mirror image.
-    used: IndexArray
-    # [S * slopes * L, R + 1]; weights of every hypothesis in the common basis, and `OWN_NOISE`,
-    # which adds to them, all times ``exp(log_determinant / sum m)``: so the best hypothesis is that
+    # [2 V + U]; number of horizontal frequencies, from 0 on, with a weight in the features: none
+    # above the highest frequency, and no ``x`` behind masks that are their own mirror image.
+    horizontal_counts: IndexArray
+    # [S * slopes * L, R + 1]; weights of every hypothesis in the common basis, and the constant
+    # `MIN_NOISE_SHARE`, all times ``exp(log_determinant / sum m)``: so the best hypothesis is that
     # of the least product, and one logarithm does for all.
     hypotheses: FloatArray
     count: float  # ``sum m``
     levels: int  # L
     ratios: DoubleArray  # [S]; contrast over noise variance of the hypotheses
-    contrasts: Sequence[float]  # the variances of texture that are tried under any noise
+    contrasts: Sequence[float]  # variances of texture, the same under any noise
     areas: tuple[Area, ...]  # all patches; one area unless filters differ over the image
 
     @classmethod
-    def of(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
+    def for_frames(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
         """Plan for frames of `shape` (rows, columns) with patches every `stride_px`.
 
-        Raises `InputError` if the frame is smaller than a patch.
+        Raises
+        ------
+        InputError
+            If the frame is smaller than a patch.
         """
         grid = PatchGrid.covering(shape, bank.window_px, stride_px)
         n, half = bank.window_px, bank.window_px // 2
@@ -139,20 +152,20 @@ class Plan:
         cosines, sines = np.cos(angle) * bank.window, np.sin(angle) * bank.window
         pairs = slice(1, paired + 1)
 
-        features = _of_products(functions, n, columns, paired, unpaired)
+        features = _functions_of_products(functions, n, columns, paired, unpaired)
         sizes = np.abs(features).max(axis=1).reshape(-1, columns)
-        looked_at = sizes > _NEGLIGIBLE * sizes.max()
-        used = (looked_at * np.arange(1, columns + 1)).max(axis=1)
+        has_weight = sizes > _NEGLIGIBLE * sizes.max()
+        horizontal_counts = (has_weight * np.arange(1, columns + 1)).max(axis=1)
 
         count = float(functions[:, -1].sum())
         hypotheses = _hypotheses(bank.coefficients, bank.log_determinants, count)
         areas = [Area(hypotheses, slice(0, grid.rows), slice(0, grid.columns))]
         if bank.field is not None:
-            of_parts = zip(bank.field.coefficients, bank.field.log_determinants, strict=True)
+            filters = zip(bank.field.coefficients, bank.field.log_determinants, strict=True)
             areas = [
-                Area(_hypotheses(*of_part, count), *_bounds(place))
-                for part, of_part in enumerate(of_parts)
-                if (place := bank.field.part_of(grid, shape) == part).any()
+                Area(_hypotheses(*filters_of_part, count), *_bounds(inside))
+                for part, filters_of_part in enumerate(filters)
+                if (inside := bank.field.part_index(grid, shape) == part).any()
             ]
         return cls(
             grid=grid,
@@ -160,7 +173,7 @@ class Plan:
             vertical=as_floats(np.concatenate([cosines[pairs], sines[pairs], cosines[unpaired]])),
             paired=paired,
             features=as_floats(features.T),
-            used=used,
+            horizontal_counts=horizontal_counts,
             hypotheses=hypotheses,
             count=count,
             levels=int(bank.log_determinants.shape[-1]),
@@ -170,64 +183,73 @@ class Plan:
         )
 
     def with_all_products(self) -> "Plan":
-        """Return the plan with every product `used`, for those who look at them, too."""
-        all_of_them = np.full_like(self.used, len(self.horizontal) // 2)
-        return dataclasses.replace(self, used=all_of_them)
+        """Plan whose engine computes all products of transforms, also those without a weight."""
+        counts = np.full_like(self.horizontal_counts, len(self.horizontal) // 2)
+        return dataclasses.replace(self, horizontal_counts=counts)
 
-    def tried(self, noise: PerPatch) -> slice:
-        """Return which ratios are tried under a noise of this standard deviation."""
+    def plausible_ratios(self, noise: PerPatch) -> slice:
+        """Slice of the ratios that are compared under a noise (standard deviation)."""
         return plausible_ratios(self.ratios, self.contrasts, float(np.median(noise)))
 
-    def hypotheses_of(self, ratios: slice) -> slice:
-        """Return which hypotheses belong to some ratios."""
+    def hypothesis_rows(self, ratios: slice) -> slice:
+        """Slice of the hypotheses that belong to a slice of the ratios."""
         each = len(self.hypotheses) // len(self.ratios)
         return slice(ratios.start * each, ratios.stop * each)
 
-    def of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Return linear functions of power [K, n] as functions of the products of transforms.
+    def functions_of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
+        """Linear functions of the products of transforms [(2 V + U) H, n]; see `features`.
 
-        From the order of ``scipy.fft.rfft2`` to ``q`` and ``x`` [(2 V + U) H, n]; see `features`.
+        Parameters
+        ----------
+        functions : ndarray [K, n]
+            Linear functions of power, in the order of ``scipy.fft.rfft2``.
         """
         columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
         unpaired = [0, half][: len(self.vertical) - 2 * self.paired]
-        return _of_products(functions, self.grid.window_px, columns, self.paired, unpaired)
+        return _functions_of_products(
+            functions, self.grid.window_px, columns, self.paired, unpaired
+        )
 
-    def shares(self, most: int) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
-        """Yield hypotheses and the patches that they are tried on, so many at most."""
+    def patch_groups(self, size: int) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
+        """Hypotheses and the indices of patches that share them, at most `size` patches each."""
         index = np.arange(self.grid.rows * self.grid.columns).reshape(self.grid.rows, -1)
         for area in self.areas:
             patches = index[area.rows, area.columns].ravel()
-            for start in range(0, len(patches), most):
-                some = patches[start : start + most]
-                whole = len(self.areas) == 1  # a slice is not copied
-                yield area.hypotheses, slice(some[0], some[-1] + 1) if whole else some
+            for start in range(0, len(patches), size):
+                group = patches[start : start + size]
+                contiguous = len(self.areas) == 1  # a slice is not copied
+                indices = slice(group[0], group[-1] + 1) if contiguous else group
+                yield area.hypotheses, indices
 
     @property
     def pixel_rows(self) -> int:
-        """How many rows of pixels the patches cover."""
+        """Number of rows of pixels that the patches cover."""
         return (self.grid.rows - 1) * self.grid.stride_px + self.grid.window_px
 
-    def covered(self, grey: FloatArray) -> FloatArray:
-        """Return the part of a frame that the patches cover, as a view."""
+    def crop(self, grey: FloatArray) -> FloatArray:
+        """View of the part of a frame that the patches cover."""
         grid = self.grid
         width = (grid.columns - 1) * grid.stride_px + grid.window_px
         return grey[grid.top : grid.top + self.pixel_rows, grid.left : grid.left + width]
 
 
 def _hypotheses(coefficients: FloatArray, determinants: FloatArray, count: float) -> FloatArray:
+    """Rows of `Plan.hypotheses`."""
     gains = np.exp(determinants.astype(np.float64).reshape(-1, 1) / count)
     weights = coefficients.reshape(len(coefficients), -1).T
-    return as_floats(np.hstack([weights, np.full_like(gains, OWN_NOISE)]) * gains)
+    return as_floats(np.hstack([weights, np.full_like(gains, MIN_NOISE_SHARE)]) * gains)
 
 
-def _bounds(place: BoolArray) -> tuple[slice, slice]:
-    rows, columns = np.flatnonzero(place.any(axis=1)), np.flatnonzero(place.any(axis=0))
+def _bounds(inside: BoolArray) -> tuple[slice, slice]:
+    """Rows and columns of the rectangle where a mask is True."""
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _of_products(
+def _functions_of_products(
     functions: NDArray[np.floating], window_px: int, columns: int, paired: int, unpaired: list[int]
 ) -> NDArray[np.floating]:
+    """See `Plan.functions_of_products`."""
     count = functions.shape[1]
     functions = functions.reshape(window_px, window_px // 2 + 1, count)[:, :columns]
     positive = functions[1 : paired + 1]

@@ -1,4 +1,4 @@
-"""The interface between a method and the depth estimator: a model, planned for frames of one size.
+"""Interface of the methods: a model, planned for frames of one size, returns a cost volume.
 
 A *model* knows the mask: what a patch looks like at every blur level. Its `plan` makes a
 *likelihood* for frames of one size, which holds threads and buffers and turns each frame into a
@@ -16,28 +16,28 @@ from coded_aperture_ros.optics import Camera, PsfStack
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionField:
-    """What a method found out about motion during the exposure, patch by patch.
+    """Motion of every patch during the exposure.
 
     Attributes
     ----------
     vectors_px : ndarray, float32 [rows, columns, 2]
-        Way during the exposure in pixels of the frame, to the right, and down. Blur does not tell
-        which way along its line: where no motion was expected, it is to the right, or down where
-        it is upright. NaN where unknown.
+        Displacement during the exposure, px: to the right, and down. Blur does not show its sign:
+        where no motion was expected, it is to the right, or down where it is vertical. NaN where
+        unknown.
     confidence : ndarray, float32 [rows, columns]
-        Probability, in [0, 1], that a patch by itself gives to about this motion.
-    searched : str
-        Why all motions were tried and not only expected ones; empty where these were enough.
+        Probability in [0, 1] of about this motion, by the patch alone.
+    search_reason : str
+        Why all motions were searched, for a person to read; empty if only expected ones were.
     """
 
     vectors_px: FloatArray
     confidence: FloatArray
-    searched: str = ""
+    search_reason: str = ""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cost:
-    """What a frame says about every patch's level.
+    """Cost of every level for every patch of a frame.
 
     Attributes
     ----------
@@ -45,17 +45,23 @@ class Cost:
         Negative natural logarithm of the likelihood, 0 for the likeliest level; all 0 where
         nothing is known. Never overwritten by the next frame.
     misfit : ndarray, float32 [rows, columns], or None
-        Natural logarithm of what the likeliest level leaves unexplained of a patch, relative to the
-        expected noise, for methods that find it: more than usual where a patch shows two surfaces.
+        Natural logarithm of the residual of the likeliest level over the expected noise: large
+        where a patch shows two surfaces. None from methods that do not compute it.
     small : Cost or None
-        Of smaller patches, where they were asked for.
+        The same of smaller patches, if they were asked for.
     periodic : ndarray, float32 [rows, columns, P], or None
-        As `volume`, if a patch shows periodic texture at some levels: `periodic_levels`, once or
-        several times. Below 0 where it explains more than usual texture at any level.
+        As `volume`, of periodic texture at the levels `periodic_levels`, once or several times;
+        below 0 where it explains a patch better than usual texture at any level.
     motion : MotionField or None
-        From methods that tell motion from defocus.
+        From methods that distinguish motion from defocus.
     seconds : mapping of str to float
-        How long the parts of the work took, in their order.
+        Duration of the parts of the work, s, in their order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> Cost(np.zeros((10, 15, 30), np.float32)).periodic is None
+    True
     """
 
     volume: FloatArray
@@ -67,35 +73,35 @@ class Cost:
 
 
 class Likelihood(Protocol):
-    """Turns frames of one size into cost volumes."""
+    """Cost volumes of frames of one size."""
 
     @property
     def grid(self) -> PatchGrid:
-        """Where the patches lie."""
+        """Positions of the patches."""
 
     def cost(
         self, grey: FloatArray, noise: PerPatch, usable: BoolArray | None = None, prior: Any = None
     ) -> Cost:
-        """Return the cost of every level for every patch.
+        """Cost of every level for every patch.
 
         Parameters
         ----------
         grey : ndarray, float32 [height, width]
             A frame of the planned size, linear light, without NaN.
         noise : float, or ndarray, float32 [rows, columns]
-            Standard deviation of its noise, > 0; of the frame, or around each patch.
+            Standard deviation of its noise, linear light, > 0; of the frame, or around each patch.
         usable : ndarray, bool [rows, columns], optional
-            Which patches say anything; by default all.
+            Patches that count; by default all.
         prior : ExpectedMotion, optional
-            What is known beforehand; methods without a use for it ignore it.
+            Expected motion during the exposure; methods without motion ignore it.
         """
 
     def close(self) -> None:
-        """Let go of threads and device memory."""
+        """Release threads and device memory."""
 
 
 class BlurLevels(Protocol):
-    """What is known of a mask without regard to a method: how it blurs at every level."""
+    """Blur of a mask at every level, independent of a method."""
 
     @property
     def stack(self) -> PsfStack:
@@ -103,42 +109,39 @@ class BlurLevels(Protocol):
 
     @property
     def window_px(self) -> int:
-        """Side of the patches, or of the smallest frame."""
+        """Side of the patches, px: the smallest frame."""
 
     @property
     def noise(self) -> float:
-        """Standard deviation of one channel's noise; 0: it is estimated in each frame."""
+        """Standard deviation of one channel's noise, linear light; 0: estimated in each frame."""
 
     @property
     def mask_digest(self) -> str:
-        """Digest of the mask's pattern; empty where it is not known."""
+        """Digest of the mask's pattern; empty if it is unknown."""
 
     @property
     def learned_from(self) -> str:
-        """How the levels came to be, for a person to read."""
+        """Origin of the levels, for a person to read."""
 
 
 class LikelihoodModel(BlurLevels, Protocol):
-    """What depth estimation needs to know about a mask: the blur levels, and how to plan."""
+    """Model of a mask for one method: the blur levels, and a plan for frames of one size."""
 
     @property
     def stride_px(self) -> int:
-        """Distance between patches, unless another is asked for."""
+        """Default distance between patches, px."""
 
     @property
     def fattening(self) -> float:
-        """How far foregrounds are too wide, relative to Hann windows of `window_px`."""
+        """Excess width of foregrounds, relative to that with Hann windows of `window_px`."""
 
     def for_view(self, camera: Camera | None) -> "LikelihoodModel":
-        """Model for frames of a camera that may show a part of its view only.
-
-        It is the model itself, unless its PSFs change over the image.
-        """
+        """Model for a part of a camera's view; itself unless its PSFs change over the image."""
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
     ) -> Likelihood:
-        """Plan the work on frames of one size.
+        """Likelihood for frames of one size.
 
         Parameters
         ----------
@@ -147,13 +150,13 @@ class LikelihoodModel(BlurLevels, Protocol):
         stride_px : int
             Distance between patches.
         backend : str
-            One of `BACKENDS`; methods that know only one ignore it.
+            One of `BACKENDS`; methods with only one ignore it.
         threads : int
-            Of the processor.
+            Threads of the processor.
 
         Raises
         ------
         InputError
-            If the frame is smaller than a patch, the backend is not there, or there are fewer
+            If the frame is smaller than a patch, the backend is not installed, or there are fewer
             processors than threads.
         """

@@ -1,4 +1,4 @@
-"""From what hypotheses leave unexplained to the cost of every level: the clip and the logarithm."""
+"""From residual energies of hypotheses to the cost of every level."""
 
 from collections.abc import Sequence
 
@@ -6,26 +6,43 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 
-# A patch without any noise of its own is treated as having this share of the variance that was
-# expected: without noise, rounding and the rank of the basis would decide.
-OWN_NOISE = np.float32(0.05)
-LEAST_EXCESS = np.float32(1e-3)
+# The noise of a patch is at least this share of the variance that was expected: without noise,
+# rounding and the rank of the basis would decide.
+MIN_NOISE_SHARE = np.float32(0.05)
+MIN_EXCESS = np.float32(1e-3)
 # The likelihood treats the windows' frequencies as independent and the model as perfect: the
 # temperature of the posterior makes up for what that overstates; chosen on ray-traced scenes.
 TEMPERATURE = 4.0
-# Cost of one frame beside those of others counts up to here.
-_LARGEST_COST = 12.0
+# Largest cost of one frame beside those of others.
+_MAX_FRAME_COST = 12.0
 
 
 def take_logarithm(excess: FloatArray, textureless: FloatArray, count: float) -> FloatArray:
-    """Turn the least excess of every level into its energy, in place; of `count` numbers a patch.
+    """Energy of every level, in place: twice the negative log-likelihood, but for a constant.
 
-    The energy is twice the negative log-likelihood, with the patch's own noise at its best value.
-    The excess [..., patches] is what the best hypothesis of a level leaves of a patch, over the
-    expected noise; `textureless` [patches] the same without any texture: what noise alone explains
-    better says nothing about the level.
+    The noise of each patch has its most likely value.
+
+    Parameters
+    ----------
+    excess : ndarray, float32 [..., patches]
+        Residual of the best hypothesis of every level over the expected noise; overwritten.
+    textureless : ndarray, float32 [patches]
+        The same without any texture: what noise alone explains better says nothing about the level.
+    count : float
+        Numbers that a patch consists of.
+
+    Returns
+    -------
+    ndarray, float32 [..., patches]
+        `excess` itself.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> take_logarithm(np.float32([[1.0], [0.5]]), np.float32([1.0]), 100).round().tolist()
+    [[0.0], [-69.0]]
     """
-    np.clip(excess, LEAST_EXCESS, np.maximum(textureless, LEAST_EXCESS), out=excess)
+    np.clip(excess, MIN_EXCESS, np.maximum(textureless, MIN_EXCESS), out=excess)
     np.log(excess, out=excess)
     excess *= np.float32(count)
     return excess
@@ -37,11 +54,28 @@ def relative_cost(
     usable: BoolArray | None = None,
     least: FloatArray | None = None,
 ) -> FloatArray:
-    """Return the cost volume: the negative log-likelihood of every level, 0 for the likeliest.
+    """Negative log-likelihood of every level, 0 for the likeliest.
 
-    Of `energies` [rows, columns, L]; see `take_logarithm`. `window_correlation` says how many of a
-    patch's numbers tell one thing, for windows correlate them. Where `usable` is False, nothing is
-    known: all levels cost 0. With `least` [rows, columns, 1], that energy costs 0.
+    Parameters
+    ----------
+    energies : ndarray, float32 [rows, columns, L]
+        See `take_logarithm`.
+    window_correlation : float
+        How many numbers of a patch are one independent measurement: windows correlate them.
+    usable : ndarray, bool [rows, columns], optional
+        Patches that count; elsewhere all levels cost 0.
+    least : ndarray, float32 [rows, columns, 1], optional
+        Energy that costs 0; by default the least of each patch.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns, L]
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> relative_cost(np.float32([[[8.0, 24.0]]]), window_correlation=2.0).tolist()
+    [[[0.0, 1.0]]]
     """
     cost = energies - (energies.min(axis=-1, keepdims=True) if least is None else least)
     cost *= np.float32(0.5 / (window_correlation * TEMPERATURE))
@@ -51,15 +85,34 @@ def relative_cost(
 
 
 def bounded_cost(volume: FloatArray) -> FloatArray:
-    """Cost of one frame [..., L] as far as it counts beside those of others."""
-    return np.minimum(volume, np.float32(_LARGEST_COST))
+    """Cost of one frame [..., L], limited so that no frame outweighs several others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> bounded_cost(np.float32([0.0, 5.0, 40.0])).tolist()
+    [0.0, 5.0, 12.0]
+    """
+    return np.minimum(volume, np.float32(_MAX_FRAME_COST))
 
 
 def plausible_ratios(ratios: DoubleArray, contrasts: Sequence[float], noise: float) -> slice:
-    """Return which of `ratios` [S] belong to contrasts under a noise (standard deviation, > 0).
+    """Slice of the ratios that belong to the contrasts under a noise.
 
-    Ratios are contrast over noise variance, in half decades; the contrasts, in the steps of these,
-    at most S variances.
+    Parameters
+    ----------
+    ratios : ndarray, float64 [S]
+        Contrast over noise variance, in half decades.
+    contrasts : sequence of float
+        Variances of texture, in the same steps, at most S.
+    noise : float
+        Standard deviation, linear light, > 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> plausible_ratios(10.0 ** np.arange(6), (0.01, 0.1), noise=0.01)
+    slice(2, 4, None)
     """
     count = len(contrasts)
     wanted = min(contrasts) / noise**2

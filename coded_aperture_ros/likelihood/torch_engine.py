@@ -1,4 +1,4 @@
-"""The engine on PyTorch, for the processor or a GPU: few and large operations, none per patch."""
+"""Engine on PyTorch, for the processor or a GPU: few and large operations, none per patch."""
 
 from types import SimpleNamespace
 
@@ -8,9 +8,9 @@ import torch
 from coded_aperture_ros.core.arrays import FloatArray, PerPatch
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
-from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE
 
-# Rows of windows are worked on in groups whose intermediate arrays fit in here.
+# Size of the intermediate arrays of a group of rows of windows, bytes.
 _GROUP_BYTES = 256 * 2**20
 
 # float32 changes the level of no patch; less would, for little: docs/experiments.md.
@@ -18,9 +18,12 @@ _PRECISION = "highest"
 
 
 class TorchEngine:
-    """Energies of every patch of frames of one size, on `cpu` or `cuda`; see `Engine`.
+    """Energies of every patch of frames of one size, on `cpu` or `cuda`; an `Engine`.
 
-    Raises `InputError` if there are fewer processors than threads.
+    Raises
+    ------
+    InputError
+        If there are fewer processors than threads.
     """
 
     def __init__(self, plan: Plan, threads: int = 1, device: str = "cpu") -> None:
@@ -29,14 +32,15 @@ class TorchEngine:
         torch.set_num_threads(threads)
         torch.set_float32_matmul_precision(_PRECISION)
         self.name = "cuda" if device == "cuda" else "torch"
-        self._plan, self.grid = plan, plan.grid
+        self._plan = plan
+        self.grid = plan.grid
 
         grid, n, columns = plan.grid, plan.grid.window_px, plan.grid.columns
         vertical, horizontal = len(plan.vertical), len(plan.horizontal)
         weights = plan.hypotheses.shape[1]
-        tried = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
+        compared = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
         per_pixel_row = (n + horizontal) * columns
-        per_row = (vertical * horizontal * 3 // 2 + weights + tried) * columns
+        per_row = (vertical * horizontal * 3 // 2 + weights + compared) * columns
         spare = _GROUP_BYTES // 4 - (n - grid.stride_px) * per_pixel_row
         rows = int(np.clip(spare // (per_row + grid.stride_px * per_pixel_row), 1, grid.rows))
         self._groups = [
@@ -50,7 +54,7 @@ class TorchEngine:
             return torch.empty(shape, dtype=torch.float32, device=device)
 
         def both(*shape: int) -> tuple[torch.Tensor, torch.Tensor]:
-            """Room in this memory and in the device's; for the processor they are one."""
+            """Buffers in this memory and in the device's; for the processor they are one."""
             here = torch.empty(shape, dtype=torch.float32, pin_memory=device == "cuda")
             return here, here.to(device)
 
@@ -70,23 +74,24 @@ class TorchEngine:
             strips=room(pixel_rows, horizontal, columns),
             parts=room(rows, vertical, horizontal * columns),
             power=room(rows, vertical, horizontal // 2 * columns),
-            patches=room(rows, weights, columns).fill_(1),  # the last is the factor of OWN_NOISE
-            excess=room(rows, tried, columns),
+            # The last is the factor of MIN_NOISE_SHARE.
+            patches=room(rows, weights, columns).fill_(1),
+            excess=room(rows, compared, columns),
         )
 
     @torch.inference_mode()
     def project(self, grey: FloatArray) -> None:
-        """Take a frame: project every patch onto the common basis."""
+        """Take a frame [rows, columns]: project every patch onto the common basis."""
         here, frame = self._buffers.frame
-        np.copyto(here.numpy(), self._plan.covered(grey))
+        np.copyto(here.numpy(), self._plan.crop(grey))
         frame.copy_(here)
         for rows in self._groups:
             self._project_rows(frame, rows)
 
     @torch.inference_mode()
     def energies(self, noise: PerPatch) -> FloatArray:
-        """Return the energies of the frame taken last [rows, columns, L]."""
-        tried = self._plan.hypotheses_of(self._plan.tried(noise))
+        """Energies of the last projected frame [rows, columns, L]."""
+        compared = self._plan.hypothesis_rows(self._plan.plausible_ratios(noise))
         here, precision = self._buffers.precision
         here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
         precision.copy_(here)
@@ -96,20 +101,20 @@ class TorchEngine:
                 rows = slice(max(group.start, area.start), min(group.stop, area.stop))
                 if rows.start < rows.stop:
                     part = energies[rows, :, columns]
-                    self._try_hypotheses(
-                        hypotheses[tried], precision[rows, :, columns], rows, columns, part
+                    self._compare(
+                        hypotheses[compared], precision[rows, :, columns], rows, columns, part
                     )
         here.copy_(energies)
         return here.mT.numpy()
 
     def close(self) -> None:
-        """Let go of the device's memory."""
+        """Release the device's memory."""
         vars(self).pop("_buffers", None)
         if self.name == "cuda":
             torch.cuda.empty_cache()
 
     def _project_rows(self, frame: torch.Tensor, rows: slice) -> None:
-        """Transform some rows of windows, and project their powers; see `Plan`."""
+        """Transform rows of windows, and project their powers; see `Plan`."""
         grid, paired, buffers = self.grid, self._plan.paired, self._buffers
         n, stride, count = grid.window_px, grid.stride_px, rows.stop - rows.start
         pixels = frame[rows.start * stride : (rows.stop - 1) * stride + n]
@@ -131,7 +136,7 @@ class TorchEngine:
             buffers.features, power.view(count, -1, grid.columns), out=buffers.functions[rows]
         )
 
-    def _try_hypotheses(
+    def _compare(
         self,
         hypotheses: torch.Tensor,
         precision: torch.Tensor,
@@ -139,18 +144,18 @@ class TorchEngine:
         columns: slice,
         energies: torch.Tensor,
     ) -> None:
-        """Find the energies of some patches; see `FilterBank` for what they are."""
+        """Compute the energies of a group of patches; see `FilterBank`."""
         buffers, (count, _, width) = self._buffers, energies.shape
         functions, patches = buffers.functions[rows, :, columns], buffers.patches[:count, :, :width]
         excess = buffers.excess[:count, :, :width]
         torch.mul(functions[:, :-1], precision, out=patches[:, :-1])
         _multiply(hypotheses, patches, out=excess)
         torch.amin(excess.unflatten(1, (-1, energies.shape[1])), dim=1, out=energies)
-        textureless = (functions[:, -1:] * precision).add_(float(OWN_NOISE))
+        textureless = (functions[:, -1:] * precision).add_(float(MIN_NOISE_SHARE))
         torch.minimum(energies, textureless, out=energies)
-        energies.clamp_(min=float(LEAST_EXCESS)).log_().mul_(self._plan.count)
+        energies.clamp_(min=float(MIN_EXCESS)).log_().mul_(self._plan.count)
 
 
 def _multiply(matrix: torch.Tensor, batch: torch.Tensor, out: torch.Tensor) -> None:
-    """Multiply a matrix by each of a batch; as views, where `torch.matmul` would copy."""
+    """Write the product of a matrix and each of a batch to `out`, without copies."""
     torch.bmm(matrix.expand(len(batch), *matrix.shape), batch, out=out)

@@ -43,7 +43,7 @@ from coded_aperture_ros.io.messages import (
 )
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import LearnConfig
-from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_settings
+from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_motion_config
 from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.intrinsics import pixel_rays
@@ -328,7 +328,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if pipeline is None:  # cleaned up while this frame was in work
             raise InputError("the node is being cleaned up")
         motion = self.configs[MotionConfig]
-        self._model.change(lambda model: with_settings(model, motion))
+        self._model.change(lambda model: with_motion_config(model, motion))
         model, camera = self._model.model, self._model.whole
         # OpenCV runs the network, which is too much for the one thread of `limit_libraries`.
         depth = self.configs[DepthConfig]

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.frames.decoding import lost_by_compression
+from coded_aperture_ros.frames.decoding import quantisation_sigma
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import (
@@ -115,7 +115,7 @@ class FrameNode(ManagedNode, Generic[Item]):
     def listen_to_frames(self, topic: str, callback: Callable[[Image, float], None]) -> None:
         """Subscribe to frames, raw or compressed as the parameter `image_transport` says.
 
-        The callback gets what compression has hidden, too; see `lost_by_compression`.
+        The callback gets what compression has hidden, too; see `quantisation_sigma`.
         """
         if self.frame_config.image_transport == "raw":
             self.listen(topic, Image, lambda image: callback(image, 0.0))
@@ -128,7 +128,7 @@ class FrameNode(ManagedNode, Generic[Item]):
                 self.statistics.count_received()
                 self.reject(error.kind, str(error))
                 return
-            callback(image, lost_by_compression(bytes(message.data)))
+            callback(image, quantisation_sigma(bytes(message.data)))
 
         self.listen(f"{topic}/compressed", CompressedImage, decompress)
 

@@ -213,7 +213,7 @@ def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys, capl
 
 @pytest.mark.parametrize("length", range(20, 100, 5))
 def test_a_compressed_frame_that_is_cut_off_is_refused(length):
-    """Wherever: `lost_by_compression` would look for a table that is not whole."""
+    """Wherever: `quantisation_sigma` would look for a table that is not whole."""
     data = cv2.imencode(".jpg", np.full((8, 8), 90, np.uint8))[1].reshape(-1)[:length]
     message = STORE.types[COMPRESSED](header=header(0), format="jpeg", data=data)
     with pytest.raises(MessageError):

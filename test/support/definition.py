@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE, plausible_ratios
+from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE, plausible_ratios
 
 
 def energies_by_definition(bank, grey, stride_px, noise):
@@ -14,6 +14,6 @@ def energies_by_definition(bank, grey, stride_px, noise):
     precision = 1 / (count * np.broadcast_to(np.square(noise), power.shape[:2])[..., None])
     excess = np.tensordot(projected[..., :-1] * precision, bank.coefficients[:, tried], axes=1)
     determinants = np.exp(bank.log_determinants[tried] / count)
-    best = ((excess + OWN_NOISE) * determinants).min(axis=(-3, -2))
-    textureless = projected[..., -1:] * precision + OWN_NOISE
-    return (count * np.log(np.clip(best, LEAST_EXCESS, textureless))).astype(np.float32)
+    best = ((excess + MIN_NOISE_SHARE) * determinants).min(axis=(-3, -2))
+    textureless = projected[..., -1:] * precision + MIN_NOISE_SHARE
+    return (count * np.log(np.clip(best, MIN_EXCESS, textureless))).astype(np.float32)

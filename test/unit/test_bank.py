@@ -18,7 +18,7 @@ from coded_aperture_ros.likelihood.bank import (
     save_bank,
 )
 from coded_aperture_ros.likelihood.bank.hypotheses import factor_weights
-from coded_aperture_ros.likelihood.scoring import OWN_NOISE
+from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 
 SIZES = np.linspace(3.0, 13.0, 9)
@@ -42,7 +42,7 @@ def direct_energies(bank, image, noise):
         """For noise alone, or a texture that many times as strong as the noise."""
         expected = variances * (texture + 1)
         # The patch has a little noise of its own beside what is seen.
-        own = OWN_NOISE * noise**2 / variances[..., 0] * counts.sum()
+        own = MIN_NOISE_SHARE * noise**2 / variances[..., 0] * counts.sum()
         return ((power / expected + np.log(expected / noise**2)) @ counts + own).min(axis=0)
 
     # For each ratio of contrast to noise that is plausible at the noise that is told.

@@ -96,9 +96,9 @@ def test_frames_that_cannot_be_used(frames, phrase):
 
 def test_noise_of_the_camera_file_is_a_default():
     camera = camera_from_mapping({**THESIS, "noise": 0.002, "noise_gain": 1e-4})
-    assert KnownNoise.of(DepthConfig(noise=0.01), camera) == KnownNoise(0.01, 1e-4)
-    assert KnownNoise.of(DepthConfig(), camera).noise == 0.002
-    assert KnownNoise.of(DepthConfig(), None) == KnownNoise()
+    assert KnownNoise.from_sources(DepthConfig(noise=0.01), camera) == KnownNoise(0.01, 1e-4)
+    assert KnownNoise.from_sources(DepthConfig(), camera).noise == 0.002
+    assert KnownNoise.from_sources(DepthConfig(), None) == KnownNoise()
 
 
 # ---- the command ----

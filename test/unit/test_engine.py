@@ -50,7 +50,7 @@ def some_frame(shape, seed=0):
 
 
 def plan_engine(bank, shape, stride_px, backend="numpy", threads=1):
-    return new_engine(Plan.of(bank, shape, stride_px), backend, threads)
+    return new_engine(Plan.for_frames(bank, shape, stride_px), backend, threads)
 
 
 def assert_close(energies, expected):
@@ -90,7 +90,7 @@ def test_energies_are_those_of_the_definition(backend, window_px, levels, shape,
 def test_only_what_a_mask_tells_is_looked_at(backend, mask, mirrored):
     """Behind a mask that is its own mirror image, +v and -v are alike."""
     bank, frame = some_bank(mask=mask), some_frame((64, 72))
-    plan = Plan.of(bank, frame.shape, 8)
+    plan = Plan.for_frames(bank, frame.shape, 8)
     assert mirrored == (not plan.used[plan.paired : 2 * plan.paired].any())
     engine = plan_engine(bank, frame.shape, 8, backend)
     engine.project(frame)

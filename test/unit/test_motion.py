@@ -22,7 +22,7 @@ from coded_aperture_ros.likelihood.motion import (
 )
 from coded_aperture_ros.likelihood.motion.bank import expected_powers
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
-from coded_aperture_ros.likelihood.motion.joint import occurring_motions, refined_motion
+from coded_aperture_ros.likelihood.motion.joint import occurring_motions, refine_motion
 from coded_aperture_ros.optics import Intrinsics, Mask, render_psf_stack
 from coded_aperture_ros.optics.rotation import expected_motion
 
@@ -264,7 +264,7 @@ def test_threads_and_subsets_change_nothing(bank):
     frame = moving_plane(2, (6.0, 0.0))
     engine = MotionEngine(bank, frame.shape, 16)
     engine.project(frame)
-    every = engine.of_all(0.002).copy()
+    every = engine.all_energies(0.002).copy()
     product = bank.product
     plain = product.energies(frame, 16, 0.002)
     plain = np.moveaxis(plain, -1, 0).reshape(every.shape)
@@ -273,7 +273,7 @@ def test_threads_and_subsets_change_nothing(bank):
     rows, columns = every.shape[2:]
     random = np.random.default_rng(0)
     candidates = random.integers(len(bank.motions), size=(rows, columns, 2))
-    some = engine.of_some(0.002, candidates)
+    some = engine.energies_for(0.002, candidates)
     index = np.moveaxis(candidates, -1, 0)[:, None]
     assert some == pytest.approx(np.take_along_axis(every, index, axis=0), abs=1e-2)
 
@@ -287,7 +287,7 @@ def test_finalists_are_found_as_by_an_exact_search(bank, noise):
     for name, of, finalists in (("exact", exact, 0), ("coarse", coarse, 0), ("few", coarse, 4)):
         engine = MotionEngine(of, frame.shape, 16, finalists=finalists)
         engine.project(frame)
-        found[name] = engine.of_all(noise).copy()
+        found[name] = engine.all_energies(noise).copy()
     best = {name: energies.min(axis=1).argmin(axis=0) for name, energies in found.items()}
     assert (best["few"] == best["exact"]).mean() > 0.95
     if noise < 0.001:  # noise hides what the common basis leaves out
@@ -302,10 +302,10 @@ def test_finalists_are_found_as_by_an_exact_search(bank, noise):
 def test_finalists_of_some_motions_are_those_of_all(bank):
     engine = MotionEngine(bank, (HEIGHT, WIDTH), 16, finalists=3)
     engine.project(moving_plane(2, (6.0, 0.0)))
-    every = engine.of_all(0.001).min(axis=(0, 1))
+    every = engine.all_energies(0.001).min(axis=(0, 1))
     rows, columns = every.shape
     near = np.broadcast_to([2, 1, 3], (rows, columns, 3))
-    some = engine.of_some(0.001, near)
+    some = engine.energies_for(0.001, near)
     assert (some.min(axis=1).argmin(axis=0) == 0).mean() > 0.95
     assert np.median(some.min(axis=(0, 1)) - every) == pytest.approx(
         0, abs=0.01 * float(np.ptp(some))
@@ -316,10 +316,12 @@ def test_products_of_another_engine_do_for_defocus_alone(bank):
     frame = moving_plane(1, (0.0, 0.0))
     moving = MotionEngine(bank, frame.shape, 16)
     moving.project(frame)
-    alone = NumpyEngine(Plan.of(bank.defocus, frame.shape, 16))
+    alone = NumpyEngine(Plan.for_frames(bank.defocus, frame.shape, 16))
     alone.project(frame)
     energies = np.moveaxis(alone.energies(0.002), -1, 0)
-    assert moving.of_static(0.002) == pytest.approx(energies, abs=1e-4 * float(np.ptp(energies)))
+    assert moving.static_energies(0.002) == pytest.approx(
+        energies, abs=1e-4 * float(np.ptp(energies))
+    )
 
 
 def test_few_motions_occur():
@@ -342,10 +344,10 @@ def test_a_motion_is_refined_by_parabolas():
     turn = (angle - 1.3 + np.pi / 2) % np.pi - np.pi / 2
     total = (length - 4.6) ** 2 + 30 * turn**2
     nearest = int(motions.distances_px(true).argmin())
-    assert refined_motion(total, motions, nearest) == pytest.approx(true, abs=1e-6)
+    assert refine_motion(total, motions, nearest) == pytest.approx(true, abs=1e-6)
     # Nothing lies beyond the longest.
     longest = int(motions.distances_px((8.0, 0.0)).argmin())
-    assert np.hypot(*refined_motion(total, motions, longest)) == pytest.approx(8)
+    assert np.hypot(*refine_motion(total, motions, longest)) == pytest.approx(8)
 
 
 def test_a_motion_between_those_that_are_told_apart_is_searched_for(bank):

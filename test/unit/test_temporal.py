@@ -11,7 +11,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.stages.temporal import TemporalFilter
 from coded_aperture_ros.frames import PatchGrid
-from coded_aperture_ros.frames.static_average import StaticAverage, frames_of_patches, join_averages
+from coded_aperture_ros.frames.static_average import StaticAverage, frames_per_patch, join_averages
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import render_coded_frame
@@ -79,7 +79,7 @@ def test_noise_of_a_still_scene_falls_with_the_root_of_the_frames(most, told):
         # What it says it is the mean of, it is.
         promised = 1 / np.sqrt(frames_of_pixels(frames))
         assert 0.65 < (error / promised).std() < 1.05
-    patches = frames_of_patches(frames, GRID)
+    patches = frames_per_patch(frames, GRID)
     assert (patches.shape, patches.dtype) == ((GRID.rows, GRID.columns), np.float32)
     assert np.median(patches) == pytest.approx(np.median(frames), rel=0.25)
 

@@ -151,15 +151,15 @@ def test_a_part_of_the_view_has_the_psfs_of_its_place(bank):
     estimator = DepthEstimator(
         bank, DepthConfig(confidence_threshold=0.0, check_fit=False), LENS.for_view(view)
     )
-    own = Plan.of(estimator.model, (96, 96), 8)
+    own = Plan.for_frames(estimator.model, (96, 96), 8)
     estimator.close()
-    whole = Plan.of(bank, SHAPE, 8)
+    whole = Plan.for_frames(bank, SHAPE, 8)
     assert np.array_equal(own.areas[0].hypotheses, whole.areas[0].hypotheses)
     assert len(own.areas) < len(whole.areas)
 
 
 def test_every_patch_is_in_one_area(bank):
-    plan = Plan.of(bank, SHAPE, 8)
+    plan = Plan.for_frames(bank, SHAPE, 8)
     seen = np.zeros((plan.grid.rows, plan.grid.columns), int)
     for area in plan.areas:
         seen[area.rows, area.columns] += 1
@@ -177,7 +177,7 @@ def test_parts_are_scored_as_banks_of_their_own(bank):
 
 def test_torch_knows_the_parts(bank):
     pytest.importorskip("torch", reason="needs PyTorch")
-    frame, plan = plane(LENS, 1.6, 5), Plan.of(bank, SHAPE, 8)
+    frame, plan = plane(LENS, 1.6, 5), Plan.for_frames(bank, SHAPE, 8)
     energies = []
     for backend in ("numpy", "torch"):
         engine = new_engine(plan, backend)

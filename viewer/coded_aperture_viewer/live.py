@@ -12,7 +12,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.likelihood.bank import check_frame_size
-from coded_aperture_ros.likelihood.choose import bank_of
+from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.sources import Capture, Source
@@ -166,7 +166,7 @@ class Live:
     def _camera_for(self, frame: FloatArray) -> Camera | None:
         """Return the camera for frames of this size; an `InputError` if the bank is not."""
         height, width = frame.shape[:2]
-        if bank := bank_of(self._pipeline.estimator.model):
+        if bank := filter_bank(self._pipeline.estimator.model):
             check_frame_size(bank, width, height)
         return self._camera and self._camera.resized(width, height)
 

@@ -31,7 +31,7 @@ from coded_aperture_ros.likelihood.bank import (
     learn_bank,
     learn_bank_for_camera,
 )
-from coded_aperture_ros.likelihood.bank.learning import guarded_range
+from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import Camera, PsfStack
 
 # Banks are learned for a little more than what there is to see.

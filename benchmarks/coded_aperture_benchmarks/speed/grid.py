@@ -86,7 +86,7 @@ class SpeedGrid:
         run = VideoRun(bank, frames, setting, regularize=cell.regularize)
         run.measure(self._frames)
         run.close()
-        plan = Plan.of(bank, cell.size, cell.stride_px)
+        plan = Plan.for_frames(bank, cell.size, cell.stride_px)
         total = run.times()
         self._rows.append(
             {

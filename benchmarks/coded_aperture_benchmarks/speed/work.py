@@ -33,7 +33,7 @@ def flop_of_spectra(plan: Plan) -> float:
     return 2.0 * (
         plan.pixel_rows * grid.columns * n * two_h
         + patches * len(plan.vertical) * n * two_h
-        + patches * len(plan.features) * float(plan.used.sum())
+        + patches * len(plan.features) * float(plan.horizontal_counts.sum())
     )
 
 
@@ -68,7 +68,7 @@ class FrameWork:
     @classmethod
     def of(cls, bank: FilterBank, setting: Setting, shape: Size, size: Size) -> "FrameWork":
         """Count for frames of `shape` and maps of `size`, both rows and columns."""
-        plan = Plan.of(bank, shape, setting.stride_px)
+        plan = Plan.for_frames(bank, shape, setting.stride_px)
         floats = np.dtype(np.float32).itemsize
         patches = plan.grid.rows * plan.grid.columns
         frame = floats * shape[0] * shape[1]

@@ -123,7 +123,7 @@ def identify_motions(
             coded = blurred[reach : reach + SIDE_PX, reach : reach + SIDE_PX]
             coded, noise = with_noise(coded, mask, sigma, seed + level * len(motions) + motion)
             engine.project(coded)
-            energies = engine.of_all(max(noise, NOISE_FLOOR))
+            energies = engine.all_energies(max(noise, NOISE_FLOOR))
             best = energies.reshape(-1, *energies.shape[2:]).argmin(axis=0)[nearest]
             for name, off in _errors(best, level, motion).items():
                 errors.setdefault(name, []).append(off)

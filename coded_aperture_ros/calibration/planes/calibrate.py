@@ -41,7 +41,7 @@ from coded_aperture_ros.likelihood.bank import (
     NaturalImagePrior,
     learn_bank_for_pattern,
 )
-from coded_aperture_ros.likelihood.bank.model import check_levels
+from coded_aperture_ros.likelihood.bank.model import check_level_count
 from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 # A bank may go this far beyond the planes, as a share of their range of blur sizes.
@@ -193,7 +193,7 @@ def learn_bank_from_planes(
     >>> from coded_aperture_ros.calibration.planes.folder import load_planes
     >>> bank = learn_bank_from_planes(load_planes(["planes/"]))  # doctest: +SKIP
     """
-    check_levels(level_count)
+    check_level_count(level_count)
     config = (config or LearnConfig()).for_blur()
     check_pictures(planes.images, planes.names, config.window_px)
     search = MaskSearch(planes, config.window_px, progress)

@@ -8,7 +8,7 @@ from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS
 from coded_aperture_ros.deblur.inverse_filters import InverseFilters
-from coded_aperture_ros.frames import periodic, periodic_shape
+from coded_aperture_ros.frames import extend_periodically, periodic_shape
 
 # Of the closed forms: whose blur size is taken (see `hypothesis_blur_sizes`), and which model error
 # bounds their gain. The frame itself is one more: that nothing is gained by changing it.
@@ -45,7 +45,9 @@ class InverseHypotheses(InverseFilters):
         shape = periodic_shape(channel.shape, self._extension_px)
         transforms, lookup = self._filters(channel.shape, noise)
         table = np.ascontiguousarray(lookup.T).reshape(-1, len(self.model_errors), len(lookup))
-        spectrum = scipy.fft.rfft2(periodic(channel, shape), workers=self._workers.threads)
+        spectrum = scipy.fft.rfft2(
+            extend_periodically(channel, shape), workers=self._workers.threads
+        )
         filtered = np.empty((len(transforms), rows, columns), np.float32)
 
         def filter_by(kernel: int, _: int) -> None:

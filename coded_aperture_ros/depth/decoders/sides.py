@@ -22,8 +22,13 @@ from coded_aperture_ros.depth.decoders.posterior import (
 from coded_aperture_ros.depth.decoders.regularize import Regularizer
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.frames import PatchGrid, periodic, periodic_shape, transfer_function
-from coded_aperture_ros.frames.patches import mean_at
+from coded_aperture_ros.frames import (
+    PatchGrid,
+    extend_periodically,
+    periodic_shape,
+    transfer_function,
+)
+from coded_aperture_ros.frames.patches import window_means
 from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.optics import PsfStack
 
@@ -213,13 +218,13 @@ class SideFinder:
         Natural logarithms [rows, columns], 0 where the two PSFs are the same. `grey` is in linear
         light without NaN, `level` [rows, columns] has each patch's blur size, of either side.
         """
-        spectrum = scipy.fft.rfft2(periodic(grey - grey.mean(), self._periodic))
+        spectrum = scipy.fft.rfft2(extend_periodically(grey - grey.mean(), self._periodic))
         found = np.zeros(level.shape, np.float32)
         for one in np.unique(level):
             clearer = self._clearer(spectrum, int(one), noise)
             own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
             here = level == one
-            found[here] = own_side * _GAIN * mean_at(clearer, grid, grid.window_px)[here]
+            found[here] = own_side * _GAIN * window_means(clearer, grid, grid.window_px)[here]
         return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
     def _clearer(self, spectrum: NDArray[np.complex64], level: int, noise: float) -> FloatArray:

@@ -22,7 +22,7 @@ from coded_aperture_ros.depth.quality.spectra import (
     powers,
     quantiles,
 )
-from coded_aperture_ros.frames.patches import PatchGrid, mean_at
+from coded_aperture_ros.frames.patches import PatchGrid, window_means
 from coded_aperture_ros.optics import PsfStack
 
 # Windows are chosen one to a cell of the frame, those with the most texture.
@@ -167,9 +167,9 @@ def _chosen_windows(
     fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
     blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
     mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
-    texture = grid.at_centres(mean, _STRIDE_PX)
+    texture = grid.centre_values(mean, _STRIDE_PX)
     if unusable is not None:
-        share = mean_at(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
+        share = window_means(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
         texture[share > _TOLERATED] = -1
     found = []
     down, across = (

@@ -38,5 +38,5 @@ class Motion(Stage):
             return
         seen = work.observation
         at = MapGrid.of(seen.grid, seen.grey.shape, work.size)
-        work.add_layer(MOTION, at.nearest(motion.vectors_px), motion.searched)
+        work.add_layer(MOTION, at.nearest(motion.vectors_px), motion.search_reason)
         work.add_layer(MOTION_CONFIDENCE, at.nearest(motion.confidence))

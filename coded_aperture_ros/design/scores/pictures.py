@@ -20,7 +20,7 @@ from coded_aperture_ros.likelihood import plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, power_spectrum
-from coded_aperture_ros.likelihood.scoring import OWN_NOISE
+from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE
 from coded_aperture_ros.optics import Mask, psf_width, render_psf_stack
 
 WINDOW_PX = 96
@@ -179,8 +179,8 @@ class WindowSpectra:
         weights = (self.multiplicity / variances).reshape(-1, len(self.multiplicity))
         share = power * np.float32(1 / (count * noise**2))
         excess = (share @ weights.T).reshape(-1, *hypotheses)
-        best = ((excess + OWN_NOISE) * determinants).min(axis=1)
-        textureless = np.asarray(share @ self.multiplicity + OWN_NOISE, np.float32)
+        best = ((excess + MIN_NOISE_SHARE) * determinants).min(axis=1)
+        textureless = np.asarray(share @ self.multiplicity + MIN_NOISE_SHARE, np.float32)
         return take_logarithm(best.T, textureless, 1.0).T
 
 

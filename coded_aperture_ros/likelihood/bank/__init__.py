@@ -4,16 +4,16 @@ from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
 from coded_aperture_ros.likelihood.bank.for_camera import (
     DEFAULT_LEVEL_COUNT,
+    describe_textures,
     learn_bank_for_camera,
     learn_bank_for_pattern,
     psf_stack_for_camera,
-    textures_of,
 )
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.learning import (
     LearnConfig,
     learn_bank,
-    relearned,
+    relearn_bank,
     with_all_frequencies,
 )
 from coded_aperture_ros.likelihood.bank.model import (
@@ -37,6 +37,7 @@ __all__ = [
     "WindowedFourierBasis",
     "check_frame_size",
     "check_setting",
+    "describe_textures",
     "image_prior",
     "learn_bank",
     "learn_bank_for_camera",
@@ -44,8 +45,7 @@ __all__ = [
     "load_bank",
     "power_spectrum",
     "psf_stack_for_camera",
-    "relearned",
+    "relearn_bank",
     "save_bank",
-    "textures_of",
     "with_all_frequencies",
 ]

@@ -1,4 +1,4 @@
-"""What sharp images look like, learned from sharp images of the place where the camera works."""
+"""Power spectra of texture, learned from sharp images of the place where the camera works."""
 
 import dataclasses
 from collections.abc import Callable, Iterable
@@ -16,22 +16,29 @@ from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, power_sp
 _WINDOW_PX = 64
 # Cycles per pixel at which a spectrum is kept; the lowest that a window resolves comes first.
 _FREQUENCIES = np.geomspace(2.5 / _WINDOW_PX, 0.5, 9)
-# A flatter window, as standard deviation of linear light, only shows the noise of its camera.
-_LEAST_CONTRAST = 0.01
-_FEWEST_WINDOWS = 50
+# Windows with less contrast (standard deviation, linear light) mostly show noise.
+_MIN_CONTRAST = 0.01
+# Windows with texture that a kind is learned from, at least.
+_MIN_WINDOWS = 50
 
 
 @dataclasses.dataclass(frozen=True)
 class EmpiricalPrior(NaturalImagePrior):
-    """Textures of a few kinds, each with the mean spectrum of its kind.
+    """Texture of a few kinds, each with the mean spectrum of its kind.
 
     Attributes
     ----------
     slopes : tuple of float
-        The power law nearest to each kind.
+        Exponent of the power law nearest to each kind.
     deviations : tuple of tuple of float
-        By how much the logarithm of each kind's power departs from its power law, at nine
-        frequencies from 0.04 to 0.5 cycles per pixel in equal ratios.
+        Difference of the logarithm of each kind's power from its power law, at nine frequencies
+        from 0.04 to 0.5 cycles per pixel in equal ratios.
+
+    Examples
+    --------
+    >>> image = np.random.default_rng(0).random((640, 640), np.float32)
+    >>> len(EmpiricalPrior.from_images([image], kinds=2).slopes)
+    2
     """
 
     deviations: tuple[tuple[float, ...], ...] = ((0.0,) * len(_FREQUENCIES),) * 3
@@ -49,14 +56,14 @@ class EmpiricalPrior(NaturalImagePrior):
 
     @classmethod
     def from_images(cls, images: Iterable[FloatArray], kinds: int = 4) -> "EmpiricalPrior":
-        """Sort the windows of sharp images into kinds by their spectra.
+        """Prior with the kinds of spectra of windows of sharp images.
 
         Parameters
         ----------
         images : iterable of ndarray, float32 [rows, columns] or [rows, columns, 3]
             All in focus, linear light.
         kinds : int, optional
-            At least 1.
+            Number of kinds, at least 1.
 
         Raises
         ------
@@ -66,17 +73,17 @@ class EmpiricalPrior(NaturalImagePrior):
         fourier = WindowedFourierBasis(_WINDOW_PX)
         spectra = [_log_spectra(fourier, image) for image in images]
         logs = np.concatenate(spectra) if spectra else np.empty((0, len(_FREQUENCIES)))
-        if kinds < 1 or len(logs) < _FEWEST_WINDOWS * kinds:
+        if kinds < 1 or len(logs) < _MIN_WINDOWS * kinds:
             raise InputError(
                 f"{len(logs)} windows with texture are too few for {kinds} kinds of texture: give "
-                f"at least {_FEWEST_WINDOWS * max(kinds, 1)}, from more or larger sharp images"
+                f"at least {_MIN_WINDOWS * max(kinds, 1)}, from more or larger sharp images"
             )
         centres, _ = kmeans2(logs, kinds, minit="++", seed=0)
         frequencies = np.log(_FREQUENCIES)
         laws = [np.polyfit(frequencies, centre, 1) for centre in centres]
         order = np.argsort([-law[0] for law in laws])
         return cls(
-            # A power law has to be one, even where a kind has more power at high frequencies.
+            # A prior's slope is positive, even if a kind has more power at high frequencies.
             slopes=tuple(float(np.clip(-laws[k][0], 0.2, 6)) for k in order),
             deviations=tuple(
                 tuple((centres[k] - np.polyval(laws[k], frequencies)).tolist()) for k in order
@@ -85,20 +92,20 @@ class EmpiricalPrior(NaturalImagePrior):
 
     @property
     def spectra(self) -> tuple[Callable[[tuple[int, int]], DoubleArray], ...]:
-        """For each kind, a function like `power_spectrum` of an image's shape."""
+        """Power spectrum of each kind as a function of an image's shape."""
         return tuple(
-            partial(power_spectrum, slope, deviation=partial(_departure, deviation))
+            partial(power_spectrum, slope, deviation=partial(_deviation, deviation))
             for slope, deviation in zip(self.slopes, self.deviations, strict=True)
         )
 
 
-def _departure(deviation: tuple[float, ...], logarithm: DoubleArray) -> DoubleArray:
-    """Return how far a kind departs from its power law; as at their ends beyond the frequencies."""
-    return np.interp(logarithm, np.log(_FREQUENCIES), deviation)
+def _deviation(deviations: tuple[float, ...], logarithm: DoubleArray) -> DoubleArray:
+    """Deviations at the logarithms of frequencies; constant beyond the first and the last."""
+    return np.interp(logarithm, np.log(_FREQUENCIES), deviations)
 
 
 def _log_spectra(fourier: WindowedFourierBasis, image: FloatArray) -> DoubleArray:
-    """Return the log radial spectra of textured windows [windows, 9], without their mean."""
+    """Logarithmic radial spectra of textured windows [windows, 9], without their mean."""
     grey = channel_mean(image)
     if min(grey.shape) < _WINDOW_PX:
         raise InputError(
@@ -114,6 +121,6 @@ def _log_spectra(fourier: WindowedFourierBasis, image: FloatArray) -> DoubleArra
     filters = np.column_stack([filters / filters.sum(axis=0), fourier.multiplicity])
     power, _ = fourier.power(grey, _WINDOW_PX // 2)
     means = (power.reshape(-1, fourier.size) @ filters.astype(np.float32)).astype(np.float64)
-    means = means[means[:, -1] > _LEAST_CONTRAST**2 * _WINDOW_PX**2, :-1]
+    means = means[means[:, -1] > _MIN_CONTRAST**2 * _WINDOW_PX**2, :-1]
     logs = np.log(np.maximum(means, 1e-12))
     return np.asarray(logs - logs.mean(axis=1, keepdims=True))

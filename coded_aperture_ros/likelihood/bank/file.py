@@ -11,7 +11,11 @@ from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.field import FieldFilters, FieldPsfs
-from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank, check_levels
+from coded_aperture_ros.likelihood.bank.model import (
+    DEFAULT_STRIDE_PX,
+    FilterBank,
+    check_level_count,
+)
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Intrinsics, Mask, PsfStack
@@ -20,8 +24,9 @@ SCHEMA = "coded-aperture filter bank"
 # Version 2 may leave out high frequencies, and knows its stride.
 VERSION = 2
 
-# What is kept under its own name, and how it is read; then what older banks lack.
-_KEPT: dict[str, Callable[[Any], Any]] = {
+# Attributes that are stored under their own name, with the conversion on reading, and those that
+# older banks lack, with their default.
+_STORED: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("ratios", "basis", "coefficients", "log_determinants"), np.asarray),
     **dict.fromkeys(("truncation_error", "noise"), float),
     **dict.fromkeys(("mask_digest", "learned_from"), str),
@@ -35,14 +40,14 @@ _NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "image_height": (int, 0),
     "setting_digest": (str, ""),
 }
-_OF_PATTERN: dict[str, Callable[[Any], Any]] = {
+_PATTERN: dict[str, Callable[[Any], Any]] = {
     "parts": np.asarray,
     **dict.fromkeys(("parts_extent", "slope_px_m", "inverse_focus"), float),
     "image_width": int,
 }
-_OF_FIELD = ("coefficients", "log_determinants")
-_OF_FRAMES = ("image_width", "image_height", "camera_matrix")
-_OF_PRIOR = ("slopes", "contrasts", "model_error")
+_FIELD = ("coefficients", "log_determinants")
+_FRAMES = ("image_width", "image_height", "camera_matrix")
+_PRIOR = ("slopes", "contrasts", "model_error")
 
 
 def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
@@ -52,9 +57,20 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     ------
     InputError
         If the folder cannot be written to.
+
+    Examples
+    --------
+    >>> import tempfile, pathlib
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     save_bank(bank, pathlib.Path(folder, "bank.npz"))
+    ...     load_bank(pathlib.Path(folder, "bank.npz")).levels
+    3
     """
-    arrays = {name: getattr(bank, name) for name in (*_KEPT, *_NEWER)}
-    arrays |= {f"prior_{name}": getattr(bank.prior, name) for name in _OF_PRIOR}
+    arrays = {name: getattr(bank, name) for name in (*_STORED, *_NEWER)}
+    arrays |= {f"prior_{name}": getattr(bank.prior, name) for name in _PRIOR}
     arrays |= {"blur_sizes_px": bank.stack.blur_sizes_px, "psfs": bank.stack.psfs}
     if not bank.stack.in_pixels:
         arrays["blur_sizes_are_indices"] = True
@@ -63,14 +79,14 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     if isinstance(bank.prior, EmpiricalPrior):
         arrays["prior_deviations"] = bank.prior.deviations
     if bank.pattern is not None:
-        arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in _OF_PATTERN}
+        arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in _PATTERN}
         arrays["pattern_mask"] = bank.pattern.mask.transmission
         arrays["pattern_mask_name"] = bank.pattern.mask.name
     if bank.field is not None:
-        own, of = bank.field, bank.field.field
-        arrays |= {"field_psfs": of.psfs, "field_tangents": of.tangents}
-        arrays |= {f"field_{name}": getattr(own, name) for name in _OF_FIELD}
-        arrays |= {f"field_{name}": getattr(of.intrinsics, name) for name in _OF_FRAMES}
+        filters, field = bank.field, bank.field.field
+        arrays |= {"field_psfs": field.psfs, "field_tangents": field.tangents}
+        arrays |= {f"field_{name}": getattr(filters, name) for name in _FIELD}
+        arrays |= {f"field_{name}": getattr(field.intrinsics, name) for name in _FRAMES}
     write_archive(path, SCHEMA, VERSION, arrays)
 
 
@@ -82,6 +98,12 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
     InputError
         Naming the file, if it is missing, truncated, of another kind, of a newer version, or
         inconsistent in itself.
+
+    Examples
+    --------
+    >>> load_bank("missing.npz")
+    Traceback (most recent call last):
+    coded_aperture_ros.core.errors.InputError: ...
     """
     arrays = read_archive(path, SCHEMA, VERSION)
     try:
@@ -95,7 +117,7 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             prior=_prior(arrays),
             pattern=_pattern(arrays),
             field=_field(arrays),
-            **{name: read(arrays[name]) for name, read in _KEPT.items()},
+            **{name: read(arrays[name]) for name, read in _STORED.items()},
             **{name: read(arrays.get(name, old)) for name, (read, old) in _NEWER.items()},
         )
         _check_shapes(bank)
@@ -111,23 +133,23 @@ def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
         return None
     return LearnedPattern(
         mask=Mask(str(arrays["pattern_mask_name"]), arrays["pattern_mask"]),
-        **{name: read(arrays[f"pattern_{name}"]) for name, read in _OF_PATTERN.items()},
+        **{name: read(arrays[f"pattern_{name}"]) for name, read in _PATTERN.items()},
     )
 
 
 def _field(arrays: dict[str, NDArray[Any]]) -> FieldFilters | None:
     if "field_psfs" not in arrays:
         return None
-    width, height, matrix = (arrays[f"field_{name}"] for name in _OF_FRAMES)
+    width, height, matrix = (arrays[f"field_{name}"] for name in _FRAMES)
     frames = Intrinsics(int(width), int(height), tuple(matrix.tolist()))
     return FieldFilters(
         FieldPsfs(arrays["field_psfs"], arrays["field_tangents"], frames),
-        **{name: arrays[f"field_{name}"] for name in _OF_FIELD},
+        **{name: arrays[f"field_{name}"] for name in _FIELD},
     )
 
 
 def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
-    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in _OF_PRIOR)
+    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in _PRIOR)
     if "prior_deviations" not in arrays:
         return NaturalImagePrior(tuple(slopes), tuple(contrasts), model_error)
     deviations = tuple(tuple(row) for row in arrays["prior_deviations"].tolist())
@@ -135,7 +157,7 @@ def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
 
 
 def _check_shapes(bank: FilterBank) -> None:
-    check_levels(bank.levels)
+    check_level_count(bank.levels)
     if bank.ratios.ndim != 1 or len(bank.ratios) < len(bank.prior.contrasts):
         raise InputError(f"ratios: expected at least {len(bank.prior.contrasts)} in a row")
     if not (np.all(bank.ratios > 0) and 0 <= bank.noise < np.inf):
@@ -150,7 +172,7 @@ def _check_shapes(bank: FilterBank) -> None:
     arrays = {name: getattr(bank, name) for name in expected}
     if bank.field is not None:
         parts = len(bank.field.field.tangents)
-        for name in _OF_FIELD:
+        for name in _FIELD:
             expected[f"field_{name}"] = (parts, *expected[name])
             arrays[f"field_{name}"] = getattr(bank.field, name)
     for name, shape in expected.items():

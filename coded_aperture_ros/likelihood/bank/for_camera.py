@@ -10,7 +10,7 @@ from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.field import FieldPsfs, psfs_at
 from coded_aperture_ros.likelihood.bank.learning import LearnConfig, learn_bank
-from coded_aperture_ros.likelihood.bank.model import FilterBank, check_levels
+from coded_aperture_ros.likelihood.bank.model import FilterBank, check_level_count
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Camera, PsfStack, render_psf_stack
@@ -30,12 +30,13 @@ def learn_bank_for_camera(
     progress: Progress = iter,
     prior: NaturalImagePrior | None = None,
 ) -> FilterBank:
-    """Learn the bank of a camera for a depth range, from its mask alone.
+    """Filter bank of a camera for a depth range, from its mask alone.
 
     Parameters
     ----------
+    camera : Camera
     near_m, far_m : float
-        Depth range, metres.
+        Depth range, m.
     level_count : int
         Number of levels, equally spaced in blur size; at least 2. On both sides of the focus they
         mirror each other, so that one end may lie a little beyond the range.
@@ -47,16 +48,28 @@ def learn_bank_for_camera(
     InputError
         If the range does not lie on the camera's side of the focal plane or ends at infinity,
         there are fewer than two levels, or a blur size does not fit the window.
+
+    References
+    ----------
+    Martinello 2012, eq. 3.28 and chapter 6.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
+    >>> bank = learn_bank_for_camera(camera, 1.2, 2.4, 5)
+    >>> bank.blur_sizes_px.round(1).tolist()
+    [4.9, 8.0, 11.0, 14.1, 17.2]
     """
     stack = psf_stack_for_camera(camera, near_m, far_m, level_count)
-    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {textures_of(prior)}"
-    field = FieldPsfs.of(camera, stack.blur_sizes_px)
+    learned_from = f"mask {camera.mask.name}, {near_m:g} to {far_m:g} m, {describe_textures(prior)}"
+    field = FieldPsfs.from_camera(camera, stack.blur_sizes_px)
     bank = learn_bank(stack, config, prior, learned_from, camera.mask, progress, field=field)
-    return for_camera(bank, camera)
+    return with_camera(bank, camera)
 
 
-def for_camera(bank: FilterBank, camera: Camera) -> FilterBank:
-    """Return a bank that knows which camera it is for, and which size its frames have."""
+def with_camera(bank: FilterBank, camera: Camera) -> FilterBank:
+    """Bank with the setting of a camera and the size of its frames, which it then checks."""
     return dataclasses.replace(
         bank,
         image_width=camera.image_width,
@@ -66,20 +79,38 @@ def for_camera(bank: FilterBank, camera: Camera) -> FilterBank:
 
 
 def psf_stack_for_camera(
-    camera: Camera, near_m: float, far_m: float, level_count: int, whose: str = "a bank"
+    camera: Camera, near_m: float, far_m: float, level_count: int, purpose: str = "a bank"
 ) -> PsfStack:
-    """Render the PSFs of a camera for a depth range, equally spaced in blur size.
+    """PSFs of a camera for a depth range, equally spaced in blur size.
 
-    Where the focus moves over the field the blur of all of it counts. Arguments and errors are
-    those of `learn_bank_for_camera`; `whose` says in messages what the PSFs are for.
+    With field curvature the range is that of the blur sizes of the whole field.
+
+    Parameters
+    ----------
+    camera, near_m, far_m, level_count
+        See `learn_bank_for_camera`.
+    purpose : str
+        What the PSFs are for, in messages.
+
+    Raises
+    ------
+    InputError
+        See `learn_bank_for_camera`.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
+    >>> psf_stack_for_camera(camera, 1.2, 2.4, 5).depths_m.round(2).tolist()
+    [1.2, 1.37, 1.6, 1.92, 2.4]
     """
-    check_levels(level_count)
-    check_range_can_be_told_apart(camera, near_m, far_m)
+    check_level_count(level_count)
+    check_depth_range(camera, near_m, far_m)
     blur_sizes = _blur_sizes(camera, near_m, far_m, level_count)
     depths_m = camera.depth_m(blur_sizes)
     if not np.isfinite(depths_m).all():
         raise InputError(
-            f"depth range {near_m:g} to {far_m:g} m: {whose} needs finite depths; far away they "
+            f"depth range {near_m:g} to {far_m:g} m: {purpose} needs finite depths; far away they "
             "differ little in blur, 100 times the distance of the focus is enough"
         )
     if camera.wavefront is not None:
@@ -88,10 +119,13 @@ def psf_stack_for_camera(
     return dataclasses.replace(stack, depths_m=depths_m)
 
 
-def check_range_can_be_told_apart(camera: Camera, near_m: float, far_m: float) -> None:
-    """Refuse a depth range in which no two depths can be told apart, or not of the camera's side.
+def check_depth_range(camera: Camera, near_m: float, far_m: float) -> None:
+    """Check that a depth range lies on the camera's side, and that its ends differ in blur.
 
-    An `InputError` says what to change.
+    Raises
+    ------
+    InputError
+        Saying what to change.
     """
     span_px = float(np.ptp(camera.blur_range_px(near_m, far_m)))
     if span_px >= _MIN_SPAN_PX:
@@ -105,10 +139,10 @@ def check_range_can_be_told_apart(camera: Camera, near_m: float, far_m: float) -
 
 
 def _blur_sizes(camera: Camera, near_m: float, far_m: float, count: int) -> DoubleArray:
-    """Return equally spaced blur sizes; with the focus among them, the same on both sides of it.
+    """Equally spaced blur sizes [count], px, the same on both sides of the focus.
 
-    Else the side with a level just there would seem the likelier one. To have that, one end may lie
-    a little beyond the range.
+    Else the side with a level nearer to a size would seem the likelier one. One end may lie a
+    little beyond the range for that.
     """
     smallest_px, largest_px = camera.field_blur_range_px(near_m, far_m)
     if not smallest_px < 0 < largest_px:
@@ -131,12 +165,40 @@ def learn_bank_for_pattern(
     prior: NaturalImagePrior | None = None,
     learned_from: str = "planes",
 ) -> FilterBank:
-    """Learn the bank of a mask that is known from planes, for a depth range.
+    """Filter bank of a mask that is known from planes, for a depth range.
 
-    The arguments are those of `learn_bank_for_camera` and `learn_bank`, and so are the errors; the
-    focus must not lie within the range. The bank's depths hold whatever a camera file says.
+    Its depths do not depend on a camera file.
+
+    Parameters
+    ----------
+    pattern : LearnedPattern
+    near_m, far_m : float
+        Depth range, m, on one side of the focus.
+    level_count, config, prior, learned_from
+        See `learn_bank_for_camera` and `learn_bank`.
+
+    Raises
+    ------
+    InputError
+        See `learn_bank_for_camera` and `learn_bank`, or if the focus lies within the range.
+
+    References
+    ----------
+    Martinello 2012, eq. 3.28.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.optics import Mask
+    >>> mask = Mask.named("levin")
+    >>> pattern = LearnedPattern(
+    ...     slope_px_m=29.0, inverse_focus=1.0, mask=mask, parts=mask.transmission[None],
+    ...     parts_extent=1.0, image_width=640,
+    ... )
+    >>> learn_bank_for_pattern(pattern, 1.2, 2.4, 3).stack.depths_m.round(2).tolist()
+    [1.2, 1.6, 2.4]
     """
-    check_levels(level_count)
+    check_level_count(level_count)
     sizes_px = np.linspace(*pattern.blur_range_px(near_m, far_m), level_count)
     stack = render_psf_stack(pattern.mask, sizes_px)
     stack = dataclasses.replace(stack, depths_m=pattern.depth_m(sizes_px))
@@ -145,8 +207,14 @@ def learn_bank_for_pattern(
     return dataclasses.replace(bank, pattern=pattern)
 
 
-def textures_of(prior: NaturalImagePrior | None) -> str:
-    """Say in a few words where a prior's textures come from."""
+def describe_textures(prior: NaturalImagePrior | None) -> str:
+    """Origin of a prior's textures, for a person to read.
+
+    Examples
+    --------
+    >>> describe_textures(None)
+    'natural-image prior'
+    """
     if isinstance(prior, EmpiricalPrior):
         return f"{len(prior.slopes)} kinds of texture from sharp images"
     return "natural-image prior"
@@ -155,11 +223,15 @@ def textures_of(prior: NaturalImagePrior | None) -> str:
 def guarded_range(
     camera: Camera, near_m: float, far_m: float, level_count: int
 ) -> tuple[float, float, int]:
-    """Return a depth range with one more level on either side, and its number of levels.
+    """Depth range (m, m) with one more level on either side, and its number of levels.
 
-    What is too near or beyond the range is the most like one of these levels. Without them it
-    would be taken, with full confidence, for something at the end of the range. An `InputError` if
-    the range does not suit the camera.
+    What is too near or beyond the range is most similar to one of these levels. Without them it
+    would be taken, with full confidence, for something at the end of the range.
+
+    Raises
+    ------
+    InputError
+        If the range does not suit the camera.
     """
     ends = np.array(camera.blur_range_px(near_m, far_m))
     step = (ends[1] - ends[0]) / (level_count - 1)

@@ -1,7 +1,7 @@
-"""The windowed Fourier basis: in it, the covariance of a blurred patch is nearly diagonal.
+"""Windowed Fourier basis: in it, the covariance of a blurred patch is nearly diagonal.
 
-A patch is multiplied by a Hann window and transformed; what matters of it for blur
-identification is the power of each frequency. The transform is separable, and patches that
+A patch is multiplied by a Hann window and transformed; blur is identified by the power of each
+frequency. The transform is separable, and patches that
 overlap share the horizontal half of it.
 """
 
@@ -26,6 +26,13 @@ class WindowedFourierBasis:
     """Power spectra of Hann-windowed patches.
 
     A spectrum has K values: the frequencies of ``scipy.fft.rfft2`` in order.
+
+    Examples
+    --------
+    >>> fourier = WindowedFourierBasis(32)
+    >>> power, grid = fourier.power(np.zeros((48, 64), np.float32), stride_px=8)
+    >>> power.shape, fourier.size
+    ((3, 5, 544), 544)
     """
 
     window_px: int  # side of the square window; even
@@ -49,9 +56,9 @@ class WindowedFourierBasis:
 
     @cached_property
     def multiplicity(self) -> FloatArray:
-        """How many coefficients of the full transform each frequency stands for [K].
+        """Number of coefficients of the full transform at each frequency [K].
 
-        0 for those that do not count: the mean of a patch says nothing about blur, and the Hann
+        0 for those that do not count: the mean of a patch does not depend on blur, and the Hann
         window spreads it over exactly the frequencies up to one cycle per window.
         """
         low_enough = self._frequency <= self.highest_frequency
@@ -59,7 +66,7 @@ class WindowedFourierBasis:
 
     @cached_property
     def noise_weights(self) -> FloatArray:
-        """Weights of the mean power of the highest frequencies [K]; blur leaves noise there."""
+        """Weights of the mean power of the highest frequencies [K]: blur leaves noise there."""
         weights = self._repetitions * (self._frequency > _HIGH_FREQUENCY)
         return (weights / weights.sum()).astype(np.float32)
 
@@ -88,19 +95,30 @@ class WindowedFourierBasis:
         return self.window_px * (self.window_px // 2 + 1)
 
     def power(self, image: FloatArray, stride_px: int) -> tuple[FloatArray, PatchGrid]:
-        """Return the power spectrum of every window; slow, for learning and for tests.
+        """Power spectrum of every window, float32 [grid rows, grid columns, K], and their grid.
 
-        Of a grey image without NaN: power, float32 [grid rows, grid columns, K], and the grid.
-        Raises `InputError` if the image is smaller than the window.
+        It is slow: for learning and for tests.
+
+        Parameters
+        ----------
+        image : ndarray, float32 [rows, columns]
+            Without NaN.
+        stride_px : int
+            Distance between windows, px.
+
+        Raises
+        ------
+        InputError
+            If the image is smaller than the window.
         """
         n = self.window_px
         grid = PatchGrid.covering(image.shape, n, stride_px)
         windows = np.lib.stride_tricks.sliding_window_view(image[grid.top :, grid.left :], (n, n))
         power = np.empty((grid.rows, grid.columns, self.size), np.float32)
         hann = np.outer(self.window, self.window)
-        for of_row, row in zip(power, windows[::stride_px, ::stride_px], strict=True):
+        for row_power, row in zip(power, windows[::stride_px, ::stride_px], strict=True):
             spectra = scipy.fft.rfft2(row * hann)
-            of_row[:] = (spectra.real**2 + spectra.imag**2).reshape(grid.columns, -1)
+            row_power[:] = (spectra.real**2 + spectra.imag**2).reshape(grid.columns, -1)
         return power, grid
 
     def expected_power(
@@ -109,16 +127,21 @@ class WindowedFourierBasis:
         spectrum: float | Callable[[tuple[int, int]], DoubleArray],
         windows: int = 4,
     ) -> DoubleArray:
-        """Return the expected power of a window on a naturally textured, blurred plane.
+        """Expected power of a window on a textured, blurred plane, float64 [K].
 
         This is exact for the windowed transform: the autocovariance of the blurred texture is
         multiplied by the autocorrelation of the window before it is transformed. Sampling the
         blurred spectrum itself would ignore the leakage between frequencies.
 
-        The `spectrum` is the fall-off of the texture's power spectrum, see `NaturalImagePrior`, or
-        a function of the shape of an image with the layout and scale of `power_spectrum`. The
-        texture repeats every so many `windows`, 2 or more. Returns float64 [K], for texture of unit
-        variance before the blur.
+        Parameters
+        ----------
+        psf : ndarray, float32 [k, k]
+        spectrum : float or callable
+            Exponent of the power law of the texture, see `NaturalImagePrior`, or a function of the
+            shape of an image with the layout and scale of `power_spectrum`. The variance before
+            the blur is 1.
+        windows : int
+            Period of the texture, in windows, 2 or more.
         """
         n = self.window_px
         # Wide enough: no wrap-around, and texture with room for lower frequencies.
@@ -130,7 +153,7 @@ class WindowedFourierBasis:
         blurred = texture * np.abs(transfer) ** 2
         autocovariance = scipy.fft.irfft2(blurred, torus)
         overlap = scipy.fft.irfft(np.abs(scipy.fft.rfft(self.window, period)) ** 2, period)
-        seen = autocovariance * overlap[:, None] * overlap
-        # Every so many frequencies of the period are all those of what is folded to a window.
-        folded = seen.reshape(period // n, n, period // n, n).sum(axis=(0, 2))
+        windowed = autocovariance * overlap[:, None] * overlap
+        # The frequencies of a window are those of the period that its folded signal has.
+        folded = windowed.reshape(period // n, n, period // n, n).sum(axis=(0, 2))
         return np.maximum(scipy.fft.rfft2(folded).real, 0).ravel()

@@ -10,8 +10,12 @@ from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood.bank.field import FieldFilters, FieldPsfs
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS, Hypotheses, factor_weights
-from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank, check_levels
+from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS, FilterHypotheses, factor_weights
+from coded_aperture_ros.likelihood.bank.model import (
+    DEFAULT_STRIDE_PX,
+    FilterBank,
+    check_level_count,
+)
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Mask, PsfStack
 
@@ -40,7 +44,13 @@ _MAX_STRIDE_PX = 16
 
 @dataclasses.dataclass(frozen=True)
 class LearnConfig:
-    """Size and rank of a filter bank, and what is known of the camera's noise."""
+    """Size and rank of a filter bank, and the noise of the camera.
+
+    Examples
+    --------
+    >>> LearnConfig().for_blur(30.0).window_px
+    96
+    """
 
     window_px: int = option(
         0,
@@ -83,9 +93,14 @@ class LearnConfig:
             )
 
     def for_blur(self, largest_px: float = 0.0, widest_psf_px: int = 0) -> "LearnConfig":
-        """Return it with the window that suits a blur size, unless it names one.
+        """Settings with the window for a blur size, unless a window is set.
 
-        The window also holds a PSF of a width: without sizes in pixels there is only that.
+        Parameters
+        ----------
+        largest_px : float
+            Largest blur size, px; 0 if it is unknown.
+        widest_psf_px : int
+            Width of the widest PSF, px, which the window holds, too.
         """
         if self.window_px:
             return self
@@ -97,6 +112,7 @@ class LearnConfig:
 
 
 def _multiple_of_8(length: float) -> int:
+    """Smallest multiple of 8 that is not less than a length."""
     return 8 * int(np.ceil(length / 8))
 
 
@@ -110,23 +126,24 @@ def learn_bank(
     components: FloatArray | None = None,
     field: FieldPsfs | None = None,
 ) -> FilterBank:
-    """Learn the bank that identifies the blur levels of a PSF stack.
+    """Filter bank of the blur levels of a PSF stack.
 
     Parameters
     ----------
     stack : PsfStack
-        One PSF for every level; at least two.
+        One PSF for every level, at least two, in order of size.
+    config : LearnConfig, optional
     prior : NaturalImagePrior, optional
         Hypotheses for the texture; an `EmpiricalPrior` has learned them from sharp images.
     learned_from : str, optional
-        Kept in the bank for a person to read.
+        Origin of the PSFs, kept in the bank for a person to read.
     mask : Mask, optional
-        What the PSFs were rendered from, so that the bank is not used with another mask.
+        Mask that the PSFs were rendered from, so that the bank is not used with another mask.
     progress : callable, optional
-        Wraps the iteration over levels, as ``tqdm.tqdm`` does.
+        Progress callback around the iteration over levels, such as ``tqdm.tqdm``.
     components : ndarray, float32 [R, L, k, k], optional
-        Instead of the PSFs: their autocorrelation is the sum of those of R components. The bank
-        needs no more than that; see `learn_bank_from_planes`.
+        R components whose autocorrelations add up to those of the PSFs, and replace these; see
+        `learn_bank_from_planes`.
     field : FieldPsfs, optional
         PSFs of the same levels elsewhere in the image.
 
@@ -135,23 +152,34 @@ def learn_bank(
     InputError
         If there are fewer than two levels, they are not in order, or a PSF is larger than the
         window.
+
+    References
+    ----------
+    Martinello 2012, chapter 6 and section 8.3.1.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> bank.levels, bank.window_px, bank.basis.shape
+    (3, 48, (1200, 96))
     """
     prior = prior or NaturalImagePrior()
-    check_levels(len(stack))
+    check_level_count(len(stack))
     for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
         steps = np.diff(values if values is not None else stack.blur_sizes_px)
         if not (np.all(steps > 0) or np.all(steps < 0)):
             raise InputError(
                 f"{name}: levels must be in order, all increasing or all decreasing: sort the PSFs"
             )
-    config, stride_px = _suiting(stack, config or LearnConfig())
+    config, stride_px = _complete_config(stack, config or LearnConfig())
     fourier = WindowedFourierBasis(config.window_px, config.highest_frequency)
-    of_levels = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
-    found = Hypotheses.of(fourier, of_levels, prior.spectra, prior.model_error, progress)
+    psfs = stack.psfs[:, None] if components is None else components.swapaxes(0, 1)
+    found = FilterHypotheses.compute(fourier, psfs, prior.spectra, prior.model_error, progress)
     multiplicity, weights, scales = fourier.multiplicity, found.weights, found.scales
     parts = [
-        Hypotheses.of(fourier, psfs[:, None], prior.spectra, prior.model_error)
-        for psfs in (progress(field.psfs) if field is not None else ())
+        FilterHypotheses.compute(fourier, of_part[:, None], prior.spectra, prior.model_error)
+        for of_part in (progress(field.psfs) if field is not None else ())
     ]
     others = [part.weights[:, ::_BASIS_OF_PARTS] for part in parts]
     basis, coefficients = factor_weights(
@@ -175,12 +203,12 @@ def learn_bank(
         learned_from=learned_from,
         highest_frequency=config.highest_frequency,
         stride_px=stride_px,
-        field=None if field is None else FieldFilters.of(field, parts, basis),
+        field=None if field is None else FieldFilters.fit(field, parts, basis),
     )
 
 
-def _suiting(stack: PsfStack, config: LearnConfig) -> tuple[LearnConfig, int]:
-    """Choose by the blur what settings leave open; return them, and the stride of the patches."""
+def _complete_config(stack: PsfStack, config: LearnConfig) -> tuple[LearnConfig, int]:
+    """Settings with window and highest frequency by the blur, and the stride of patches, px."""
     sizes_px, widest = np.abs(stack.blur_sizes_px), stack.psfs.shape[-1]
     stride_px = DEFAULT_STRIDE_PX
     if not config.window_px:
@@ -199,36 +227,63 @@ def _suiting(stack: PsfStack, config: LearnConfig) -> tuple[LearnConfig, int]:
     return config, stride_px
 
 
-def relearned(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBank:
-    """Return a bank for some levels of another, with patches of another size.
+def relearn_bank(bank: FilterBank, window_px: int, levels: IndexArray) -> FilterBank:
+    """Bank of n levels of another, with patches of another size.
 
-    It knows blur sizes without sign, and no depths. `levels` [n] are in the order of their sizes
-    without sign: the power of a PSF is that of the PSF turned around. An `InputError` if there are
-    fewer than two levels, or a PSF is larger than the window.
+    Its blur sizes have no sign, as the power of a PSF is that of the PSF turned around, and it has
+    no depths.
+
+    Parameters
+    ----------
+    bank : FilterBank
+    window_px : int
+        Side of the patches, px.
+    levels : ndarray, int [n]
+        Indices of the bank's levels, in order of their sizes without sign.
+
+    Raises
+    ------
+    InputError
+        If there are fewer than two levels, or a PSF is larger than the window.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> relearn_bank(bank, 32, np.array([0, 2])).blur_sizes_px.tolist()
+    [3.0, 7.0]
     """
     stack = bank.stack
-    some = PsfStack(
+    chosen = PsfStack(
         np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
     )
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
     field = None if bank.field is None else bank.field.field
     field = field and dataclasses.replace(field, psfs=field.psfs[:, levels])
-    return _learned_like(bank, some, config, field)
+    return _learn_like(bank, chosen, config, field)
 
 
 def with_all_frequencies(bank: FilterBank) -> FilterBank:
-    """Return the bank without a highest frequency: traces of motion differ at the highest, too."""
+    """Bank without a highest frequency, for PSFs of motion, which differ at the highest, too.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> bank.highest_frequency, with_all_frequencies(bank).highest_frequency
+    (0.46, 1.0)
+    """
     if bank.highest_frequency >= 1:
         return bank
     config = LearnConfig(bank.window_px, RANK_OF_ALL, 1.0, bank.noise)
-    other = _learned_like(bank, bank.stack, config)
+    other = _learn_like(bank, bank.stack, config)
     return dataclasses.replace(other, stride_px=bank.stride_px, level_error=bank.level_error)
 
 
-def _learned_like(
+def _learn_like(
     bank: FilterBank, stack: PsfStack, config: LearnConfig, field: FieldPsfs | None = None
 ) -> FilterBank:
-    """Learn another bank of a bank's mask, textures and pattern."""
+    """Bank of other levels of a bank's mask, with the same textures and pattern."""
     components = None if bank.pattern is None else bank.pattern.components(stack.blur_sizes_px)
     other = learn_bank(
         stack, config, bank.prior, bank.learned_from, components=components, field=field

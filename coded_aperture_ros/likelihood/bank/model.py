@@ -1,4 +1,4 @@
-"""The filter bank: energies of every blur level for every patch of a frame."""
+"""Filter bank: energies of every blur level for every patch of a frame."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
 from coded_aperture_ros.likelihood.bank.field import FieldFilters
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.likelihood.bank.hypotheses import Hypotheses, fitted_coefficients
+from coded_aperture_ros.likelihood.bank.hypotheses import FilterHypotheses, fit_coefficients
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.likelihood.bank.prior import (
     NaturalImagePrior,
@@ -21,7 +21,7 @@ from coded_aperture_ros.likelihood.bank.prior import (
 )
 from coded_aperture_ros.optics import Camera, PsfStack
 
-# Distance between the patches of a frame, unless something else is asked for.
+# Default distance between the patches of a frame, px.
 DEFAULT_STRIDE_PX = 8
 # More would take all memory.
 _MAX_LEVELS = 500
@@ -29,7 +29,7 @@ _MAX_LEVELS = 500
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FilterBank:
-    """Everything that depth estimation needs to know about a mask and its blur sizes.
+    """Filters that identify the blur levels of a mask; a `LikelihoodModel`.
 
     For a patch with power spectrum ``P`` the energy of blur level ``d`` is twice the negative
     log-likelihood of a Gaussian texture seen through that level's PSF, minimised over the
@@ -46,9 +46,6 @@ class FilterBank:
 
     Only the ratio ``a / s^2`` enters the weights, so one bank serves every noise level; for a
     given ratio the best noise follows in closed form.
-
-    A bank is a `LikelihoodModel`: `plan` makes what computes the cost of every level at the rate of
-    a camera; see `coded_aperture_ros.likelihood`.
 
     The weights ``m / V`` of all hypotheses share one basis (thesis 8.3.1).
 
@@ -71,30 +68,43 @@ class FilterBank:
     truncation_error : float
         Relative root-mean-square error of the weights at this rank.
     noise : float
-        Standard deviation of the noise of one channel of the camera; 0 if it has to be estimated
-        in every frame.
+        Standard deviation of the noise of one channel of the camera, linear light; 0: it is
+        estimated in every frame.
     mask_digest : str
-        Digest of the mask's pattern; empty for measured PSFs and planes, whose depths, where they
-        are known, hold whatever a camera file says.
+        Digest of the mask's pattern; empty for measured PSFs and planes, whose depths do not
+        depend on a camera file.
     learned_from : str
-        How the bank came to be, for a person to read.
+        Origin of the bank, for a person to read.
     highest_frequency : float
-        Frequencies above this, in cycles per pixel, are left out.
+        Highest frequency that counts, cycles per pixel.
     stride_px : int
-        Distance between patches that the bank was tuned for.
+        Default distance between patches, px.
     level_error : float
         Mean error, in levels, on simulated planes with this distance; NaN if it was not tuned.
     image_width, image_height : int
-        Size of the frames that the blur sizes are of, px; 0 where it is not known.
+        Size of the frames that the blur sizes are of, px; 0 if it is unknown.
     setting_digest : str
-        Digest of what makes depths of blur sizes: see `Camera.setting_digest`; empty where the
-        depths do not come from a camera file.
+        See `Camera.setting_digest`; empty if the depths do not come from a camera file.
     guard_levels : int
-        Levels at either end that stand for what is beyond the depth range.
+        Levels at either end for what is beyond the depth range.
     pattern : LearnedPattern or None
-        Mask and thin lens as found from planes: what a bank for another focus is made of.
+        Mask and thin lens as found from planes, for banks of another focus.
     field : FieldFilters or None
         Filters of the parts of the image, for lenses whose PSF changes over it.
+
+    References
+    ----------
+    Martinello 2012, chapter 6 (eq. 6.22) and section 8.3.1.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
+    >>> likelihood = bank.plan((64, 64), stride_px=8)
+    >>> likelihood.cost(np.random.default_rng(0).random((64, 64), np.float32), 0.01).volume.shape
+    (3, 3, 3)
     """
 
     stack: PsfStack
@@ -130,38 +140,38 @@ class FilterBank:
 
     @cached_property
     def fourier(self) -> WindowedFourierBasis:
-        """The transform that the bank's filters act on."""
+        """Transform of the patches."""
         return WindowedFourierBasis(self.window_px, self.highest_frequency)
 
     @property
     def basis_vectors(self) -> int:
-        """How many vectors the common basis has."""
+        """Number R of vectors of the common basis."""
         return int(self.basis.shape[1])
 
     @property
     def window_correlation(self) -> float:
-        """How many windowed frequencies tell one thing: a window spreads each over several."""
+        """Windowed frequencies in one independent measurement: a window correlates them."""
         window = self.fourier.window.astype(np.float64)
         return float((len(window) * np.sum(window**4)) ** 2)
 
     @cached_property
     def functions_of_power(self) -> FloatArray:
-        """What is needed of a patch's spectrum: basis and multiplicity [K, R + 1]."""
+        """Linear functions of a patch's power: basis and multiplicity [K, R + 1]."""
         return np.column_stack([self.basis, self.fourier.multiplicity])
 
     @property
     def window(self) -> FloatArray:
-        """The window that patches are multiplied by, along each side [N]."""
+        """Window of the patches along each side [N]."""
         return self.fourier.window
 
     @property
     def contrasts(self) -> Sequence[float]:
-        """The variances of sharp texture that are tried."""
+        """Variances of sharp texture."""
         return self.prior.contrasts
 
     @property
     def fattening(self) -> float:
-        """See `LikelihoodModel`: the windows are Hann windows."""
+        """Excess width of foregrounds relative to Hann windows, which these are."""
         return 1.0
 
     def plan(
@@ -172,61 +182,67 @@ class FilterBank:
         threads: int = 1,
         periodic: bool = True,
     ) -> EngineLikelihood:
-        """Plan the work on frames of one size; see `LikelihoodModel.plan`.
+        """Likelihood for frames of one size.
 
-        Whether `periodic` texture is tried, too, if sizes are in pixels: see `Cost`.
+        Parameters
+        ----------
+        shape, stride_px, backend, threads
+            See `LikelihoodModel.plan`.
+        periodic : bool
+            Whether the cost has that of periodic texture, too, if sizes are in pixels; see `Cost`.
         """
-        tried = self._with_periodic if periodic and self.stack.in_pixels else self
-        engine = new_engine(Plan.of(tried, shape, stride_px), backend, threads)
+        bank = self._with_periodic if periodic and self.stack.in_pixels else self
+        engine = new_engine(Plan.for_frames(bank, shape, stride_px), backend, threads)
         return EngineLikelihood(engine, self.window_correlation, self.levels)
 
     @cached_property
     def _with_periodic(self) -> "FilterBank":
-        """The bank with `periodic_levels` after its own, whose kinds of texture are periodic.
+        """Bank with the `periodic_levels` after its own, whose kinds of texture are periodic.
 
         There are several of these for each kind of its own: first all levels with some of the
-        bands, then all with others. Only for `Plan.of`: its stack has the own levels alone.
+        bands, then all with others. Only for `Plan.for_frames`: the stack has no such levels.
         """
-        some, kinds = periodic_levels(self.levels), self.log_determinants.shape[1]
-        psfs = self.stack.psfs[some, None]
+        indices, kinds = periodic_levels(self.levels), self.log_determinants.shape[1]
+        psfs = self.stack.psfs[indices, None]
         if self.pattern is not None:
-            psfs = self.pattern.components(self.blur_sizes_px[some]).swapaxes(0, 1)
+            psfs = self.pattern.components(self.blur_sizes_px[indices]).swapaxes(0, 1)
         spectra = periodic_spectra(kinds)
-        found = Hypotheses.of(self.fourier, psfs, spectra, self.prior.model_error)
+        found = FilterHypotheses.compute(self.fourier, psfs, spectra, self.prior.model_error)
         basis = self.basis.astype(np.float64)
         weights = [
-            fitted_coefficients(basis, filters, scale)
+            fit_coefficients(basis, filters, scale)
             for filters, scale in zip(found.weights, found.scales, strict=True)
         ]
 
-        def after(own: FloatArray, more: DoubleArray, first: int = 0) -> FloatArray:
-            more = more.reshape(*own.shape[first:-2], -1, kinds, len(some)).swapaxes(-3, -2)
-            more = more.reshape(*own.shape[first:-1], -1).astype(own.dtype)
-            more = np.broadcast_to(more, (*own.shape[:first], *more.shape))
-            return np.concatenate([own, more], axis=-1)
+        def append(levels: FloatArray, more: DoubleArray, first: int = 0) -> FloatArray:
+            """Levels with more of them; axes before the first are only in those of the bank."""
+            more = more.reshape(*levels.shape[first:-2], -1, kinds, len(indices)).swapaxes(-3, -2)
+            more = more.reshape(*levels.shape[first:-1], -1).astype(levels.dtype)
+            more = np.broadcast_to(more, (*levels.shape[:first], *more.shape))
+            return np.concatenate([levels, more], axis=-1)
 
         coefficients = np.stack(weights, axis=1)
         field = self.field and dataclasses.replace(
             self.field,
-            coefficients=after(self.field.coefficients, coefficients, 1),
-            log_determinants=after(self.field.log_determinants, found.log_determinants, 1),
+            coefficients=append(self.field.coefficients, coefficients, 1),
+            log_determinants=append(self.field.log_determinants, found.log_determinants, 1),
         )
         return dataclasses.replace(
             self,
-            coefficients=after(self.coefficients, coefficients),
-            log_determinants=after(self.log_determinants, found.log_determinants),
+            coefficients=append(self.coefficients, coefficients),
+            log_determinants=append(self.log_determinants, found.log_determinants),
             field=field,
         )
 
     def for_view(self, camera: Camera | None) -> "FilterBank":
-        """Bank for frames of a camera, which may show a part of its view only."""
+        """Bank for a part of a camera's view; itself unless its PSFs change over the image."""
         if self.field is None or camera is None:
             return self
         field = dataclasses.replace(self.field, field=self.field.field.for_view(camera))
         return dataclasses.replace(self, field=field)
 
     def energies(self, grey: FloatArray, stride_px: int, noise: PerPatch) -> FloatArray:
-        """Return the energies of a single frame [rows, columns, L]; `plan` is for many.
+        """Energies of a single frame [rows, columns, L]; `plan` is for many.
 
         Parameters
         ----------
@@ -242,43 +258,71 @@ class FilterBank:
         InputError
             If the frame is smaller than a patch.
         """
-        engine = new_engine(Plan.of(self, grey.shape, stride_px))
+        engine = new_engine(Plan.for_frames(self, grey.shape, stride_px))
         engine.project(grey)
         return engine.energies(noise)
 
 
 def check_frame_size(
-    bank: FilterBank, width: int, height: int, given: tuple[int, int] | None = None
+    bank: FilterBank, width: int, height: int, original: tuple[int, int] | None = None
 ) -> None:
-    """Refuse frames of another size than that of a bank, where it knows that.
+    """Check that frames have the size that a bank is for, if it is known.
 
-    An `InputError` says which size it is for, and what to do; `given` is the frame's own size
-    (width, height), where it was resampled.
+    Parameters
+    ----------
+    bank : FilterBank
+    width, height : int
+        Size of the frames, px.
+    original : (int, int), optional
+        Their width and height before they were resampled, px.
+
+    Raises
+    ------
+    InputError
+        Saying which size the bank is for, and what to do.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
+    >>> check_frame_size(learn_bank_for_camera(camera, 1.2, 2.4, 5), 160, 120)
     """
-    own, given = (bank.image_width, bank.image_height), given or (width, height)
-    PatchGrid.covering((height, width), bank.window_px, 1)  # refuses what is smaller than a window
-    if not all(own) or (width, height) == own:
+    expected, original = (bank.image_width, bank.image_height), original or (width, height)
+    PatchGrid.covering((height, width), bank.window_px, 1)  # raises if less than a window
+    if not all(expected) or (width, height) == expected:
         return
-    size = "{}x{}".format(*given)
-    scale = (own[0] / given[0] + own[1] / given[1]) / 2
-    fits = tuple(round(scale * length) for length in given) == own
+    size = "{}x{}".format(*original)
+    scale = (expected[0] / original[0] + expected[1] / original[1]) / 2
+    fits = tuple(round(scale * length) for length in original) == expected
     remedy = f"learn a bank for {size} (sizes of the image in the camera file)"
-    if given == own:
+    if original == expected:
         remedy = "leave out --frame-scale"
-    elif fits and 0.1 <= scale < 1:  # what is enlarged has lost what tells depth
+    elif fits and 0.1 <= scale < 1:  # an enlarged frame lacks the frequencies that show blur
         remedy += f", or, if it is the same view, resample it by depth --frame-scale {scale:.6g}"
-    resampled = "" if given == (width, height) else f", resampled to {width}x{height}"
+    resampled = "" if original == (width, height) else f", resampled to {width}x{height}"
     raise InputError(
-        f"frame of {size}{resampled}: the bank is for {own[0]}x{own[1]}, and the same blur in "
-        f"pixels would be another depth: {remedy}"
+        f"frame of {size}{resampled}: the bank is for {expected[0]}x{expected[1]}, and the same "
+        f"blur in pixels would be another depth: {remedy}"
     )
 
 
 def check_setting(bank: FilterBank, camera: Camera) -> Camera:
-    """Refuse a camera with another focus, focal length, mask size or view than the bank's.
+    """Camera for frames of a bank's size, if that is known.
 
-    Returns the camera for frames of the bank's size, if it knows that. An `InputError` says what to
-    do.
+    Raises
+    ------
+    InputError
+        If the camera has another focus, focal length, mask size or view than the bank's, saying
+        what to do.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
+    >>> check_setting(learn_bank_for_camera(camera, 1.2, 2.4, 5), camera).image_width
+    160
     """
     if bank.setting_digest in ("", camera.setting_digest):
         return camera.resized(bank.image_width, bank.image_height) if bank.image_width else camera
@@ -289,8 +333,8 @@ def check_setting(bank: FilterBank, camera: Camera) -> Camera:
     )
 
 
-def check_levels(count: int) -> None:
-    """Refuse fewer than two levels, and so many that they would take all memory."""
+def check_level_count(count: int) -> None:
+    """Raise `InputError` for fewer than two levels, and for more than memory holds."""
     if not 2 <= count <= _MAX_LEVELS:
         allowed = "needs at least 2" if count < 2 else f"has at most {_MAX_LEVELS}"
         raise InputError(f"a bank {allowed} levels, got {count}")

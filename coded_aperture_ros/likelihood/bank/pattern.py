@@ -1,4 +1,4 @@
-"""What pictures of planes tell about a camera: its mask, and how blur grows with depth."""
+"""Mask and thin lens of a camera as found from pictures of planes."""
 
 import dataclasses
 
@@ -12,38 +12,52 @@ from coded_aperture_ros.optics import Mask, render_psf_stack
 
 @dataclasses.dataclass(frozen=True)
 class ThinLens:
-    """The line ``S = slope (1 / z_focus - 1 / z)`` of signed blur sizes (thesis eq. 3.28)."""
+    """Signed blur sizes ``S = slope (1 / z_focus - 1 / z)`` of a thin lens.
 
-    # ``M f_px``, pixels times metres, positive. Mask extent and focal length occur in this product
-    # only, so planes alone cannot tell the one from the other.
+    References
+    ----------
+    Martinello 2012, eq. 3.28.
+
+    Examples
+    --------
+    >>> lens = ThinLens(slope_px_m=20.0, inverse_focus=1.0)
+    >>> float(lens.blur_size_px(2.0)), float(lens.depth_m(10.0))
+    (10.0, 2.0)
+    """
+
+    # ``M f_px``, px m, positive. Mask extent and focal length occur in this product only, so planes
+    # alone do not determine each of them.
     slope_px_m: float
     # ``1 / z_focus``, 1/m; 0 or less where the blur vanishes nowhere in front of the camera.
     inverse_focus: float
 
     @property
     def focus_distance_m(self) -> float:
-        """Distance of the plane in focus; infinite where there is none."""
+        """Distance of the plane in focus, m; infinite if there is none."""
         return 1 / self.inverse_focus if self.inverse_focus > 0 else np.inf
 
     def blur_size_px(self, depth_m: ArrayLike) -> DoubleArray:
-        """Return the signed blur size at depths in metres."""
+        """Signed blur size, px, at depths in m."""
         return self.slope_px_m * (self.inverse_focus - 1 / np.asarray(depth_m, np.float64))
 
     def inverse_depth(self, blur_size_px: ArrayLike) -> DoubleArray:
-        """Return the inverse depth at signed blur sizes; 0 or less at and beyond infinity's."""
+        """Inverse depth, 1/m, at signed blur sizes; 0 or less at and beyond that of infinity."""
         size_px = np.asarray(blur_size_px, np.float64)
         return np.asarray(self.inverse_focus - size_px / self.slope_px_m)
 
     def depth_m(self, blur_size_px: ArrayLike) -> DoubleArray:
-        """Return the depth at signed blur sizes; infinite at and beyond that of infinity."""
+        """Depth, m, at signed blur sizes; infinite at and beyond that of infinity."""
         inverse = self.inverse_depth(blur_size_px)
         positive = inverse > 0
         return np.where(positive, 1 / np.where(positive, inverse, 1.0), np.inf)
 
     def blur_range_px(self, near_m: float, far_m: float) -> tuple[float, float]:
-        """Return the signed blur sizes at the ends of a depth range, the smaller one first.
+        """Signed blur sizes, px, at the ends of a depth range, the smaller one first.
 
-        Raises `InputError` if the range is not one, or has the focus inside.
+        Raises
+        ------
+        InputError
+            If the range is empty or infinite, or the focus lies inside.
         """
         if not 0 < near_m < far_m < np.inf:
             raise InputError(
@@ -61,13 +75,23 @@ class ThinLens:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class LearnedPattern(ThinLens):
-    """A mask as learned from planes, with the line of the thin lens.
+    """Mask and thin lens as found from pictures of planes.
 
-    Raises `InputError` if an attribute has another shape or range.
+    Raises
+    ------
+    InputError
+        If an attribute has another shape or range.
+
+    Examples
+    --------
+    >>> mask = Mask.named("levin")
+    >>> pattern = LearnedPattern(29.0, 1.0, mask, mask.transmission[None], 1.0, 640)
+    >>> pattern.components([5.0, 7.0]).shape
+    (1, 2, 7, 7)
     """
 
-    mask: Mask  # a single mask: the PSFs are its. Blur sizes are the extent of its grid.
-    # [R, m, m]; masks whose autocorrelations add up to that of the mask; the filters are theirs.
+    mask: Mask  # of the PSFs; blur sizes are the extent of its grid
+    # [R, m, m]; masks of the filters, whose autocorrelations add up to that of the mask.
     parts: DoubleArray
     parts_extent: float  # width of the parts' grid over that of the mask's
     image_width: int  # width of the pictures, px
@@ -86,10 +110,7 @@ class LearnedPattern(ThinLens):
         object.__setattr__(self, "parts", parts)
 
     def components(self, blur_sizes_px: ArrayLike) -> FloatArray:
-        """Return the PSFs of the parts at blur sizes of the mask [R, L, k, k].
-
-        They are as bright as the parts are.
-        """
+        """PSFs of the parts at blur sizes of the mask [R, L, k, k]; their sums are the parts'."""
         sizes = np.abs(np.asarray(blur_sizes_px, np.float64)) * self.parts_extent
         psfs = [
             render_psf_stack(Mask("part", part / part.max()), sizes).psfs * part.sum()

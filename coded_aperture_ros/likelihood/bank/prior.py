@@ -1,4 +1,4 @@
-"""What sharp images look like before blur: the natural-image power spectrum."""
+"""Power spectra of sharp images: natural texture, and periodic texture."""
 
 import dataclasses
 from collections.abc import Callable
@@ -47,8 +47,13 @@ class NaturalImagePrior:
     contrasts : tuple of float
         Hypotheses for the variance of a sharp patch, linear light, in half decades.
     model_error : float
-        What the PSF model leaves unexplained, as a fraction of the patch contrast (standard
-        deviation). It keeps a bright, noise-free patch from trusting the model to the last digit.
+        Error of the PSF model, as a fraction of the patch contrast (standard deviation). It
+        limits the confidence in the model for bright patches without noise.
+
+    Examples
+    --------
+    >>> [spectrum((8, 8)).shape for spectrum in NaturalImagePrior().spectra]
+    [(8, 5), (8, 5), (8, 5)]
     """
 
     slopes: tuple[float, ...] = (1.6, 2.4, 3.2)
@@ -72,13 +77,29 @@ class NaturalImagePrior:
 def power_spectrum(
     slope: float, shape: Shape, deviation: Callable[[DoubleArray], DoubleArray] | None = None
 ) -> DoubleArray:
-    """Return the prior's power spectrum for unit contrast, laid out as by ``scipy.fft.rfft2``.
+    """Power spectrum of texture of unit variance, laid out as by ``scipy.fft.rfft2``.
 
-    For images of `shape` (rows, columns): float64 [rows, columns // 2 + 1], scaled so that an image
-    drawn from it has unit variance. `slope` is the exponent of the power law, and `deviation` by
-    how much the logarithm of the power departs from it, as a function of that of the frequency in
-    cycles per pixel. The zero frequency gets the power of one cycle per image, because a power law
-    has none there. Without a deviation the array is read-only.
+    The zero frequency has the power of one cycle per image, because a power law has none there.
+
+    Parameters
+    ----------
+    slope : float
+        Exponent of the power law; 0: white.
+    shape : (int, int)
+        Rows and columns of the image.
+    deviation : callable, optional
+        Difference of the logarithm of the power from that of the power law, as a function of the
+        logarithm of the frequency in cycles per pixel.
+
+    Returns
+    -------
+    ndarray, float64 [rows, columns // 2 + 1]
+        Read-only without a deviation.
+
+    Examples
+    --------
+    >>> power_spectrum(2.0, (4, 4)).shape
+    (4, 3)
     """
     rows, columns = shape
     if deviation is None:
@@ -88,7 +109,7 @@ def power_spectrum(
     return power / np.mean(np.fft.irfft2(power, shape)[0, 0])
 
 
-# Learning asks for the same few of them thousands of times.
+# Learning needs the same few spectra thousands of times.
 @lru_cache(maxsize=16)
 def _power_law(slope: float, rows: int, columns: int) -> DoubleArray:
     power = _frequency(rows, columns) ** -slope
@@ -105,7 +126,13 @@ def _frequency(rows: int, columns: int) -> DoubleArray:
 
 
 def image_prior(shape: Shape) -> FloatArray:
-    """Return the power spectrum of photographs of `shape`, as by ``scipy.fft.rfft2``."""
+    """Power spectrum of photographs of a shape, float32, laid out as by ``scipy.fft.rfft2``.
+
+    Examples
+    --------
+    >>> image_prior((4, 4)).shape
+    (4, 3)
+    """
     return (_PHOTO_CONTRAST * power_spectrum(_PHOTO_SLOPE, shape)).astype(np.float32)
 
 

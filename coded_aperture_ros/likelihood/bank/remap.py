@@ -1,7 +1,7 @@
-"""A bank for another focus or another depth range, without new pictures (thesis chapter 10).
+"""Bank for another focus or another depth range, without new pictures (thesis chapter 10).
 
-The filters belong to blur sizes, and only the image formation model (thesis eq. 3.28) says at
-which depth a blur size occurs. So another focus gives the same filters other depths; another
+The filters belong to blur sizes, and depth follows from blur size by the image formation model
+(thesis eq. 3.28). So another focus gives the same filters other depths; another
 depth range needs filters for other blur sizes of the same mask.
 """
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank.for_camera import (
-    for_camera,
     learn_bank_for_camera,
     learn_bank_for_pattern,
+    with_camera,
 )
 from coded_aperture_ros.likelihood.bank.learning import LearnConfig
 from coded_aperture_ros.likelihood.bank.model import FilterBank
@@ -29,17 +29,41 @@ def remap_bank(
     far_m: float | None = None,
     level_count: int | None = None,
 ) -> FilterBank:
-    """Make the bank of another setting of the same lens and mask; all else stays as it is.
+    """Bank of another setting of the same lens and mask.
 
-    The bank was learned from planes, from the camera's own mask, or from measured PSFs with sizes
-    in px. The camera has the new setting: focus, side of the scene, and image width (of the same
-    view). A bank from planes keeps its own mask and the slope of its blur sizes, which were
-    measured; where the camera's focal length in mm is known, the image distance follows the focus.
+    A bank from planes keeps its mask and the slope of its blur sizes, which were measured; if the
+    camera's focal length in mm is known, the image distance follows the focus.
 
-    With a depth range in m there are new levels, by default as many as before; without it the
-    filters stay as they are, and get new depths. Raises `InputError` if the range does not suit the
-    camera, the levels lie where the camera has no depth, or new levels are asked of a bank whose
-    mask is not known.
+    Parameters
+    ----------
+    bank : FilterBank
+        Learned from planes, from the camera's mask, or from measured PSFs with sizes in px.
+    camera : Camera
+        New focus, side of the scene, and image width (of the same view).
+    near_m, far_m : float, optional
+        Depth range of new levels, m; without it the filters stay, and get new depths.
+    level_count : int, optional
+        Number of new levels; by default as many as before.
+
+    Raises
+    ------
+    InputError
+        If the range does not suit the camera, the levels lie where the camera has no depth, or the
+        mask that new levels need is unknown.
+
+    References
+    ----------
+    Martinello 2012, chapter 10.
+
+    Examples
+    --------
+    >>> import dataclasses
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
+    >>> bank = learn_bank_for_camera(camera, 1.2, 2.4, 3)
+    >>> nearer = dataclasses.replace(camera, focus_distance_m=0.9)
+    >>> remap_bank(bank, nearer).stack.depths_m.round(2).tolist()
+    [1.06, 1.36, 1.89]
     """
     if (near_m is None) != (far_m is None):
         raise InputError("a depth range needs both near_m and far_m")
@@ -56,7 +80,7 @@ def remap_bank(
     config = LearnConfig(bank.window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
     count = bank.levels if level_count is None else level_count
     if pattern is not None:
-        camera.blur_range_px(near_m, far_m)  # refuses what is not on the camera's side
+        camera.blur_range_px(near_m, far_m)  # raises if it is not on the camera's side
         new = learn_bank_for_pattern(
             pattern, near_m, far_m, count, config, bank.prior, learned_from
         )
@@ -67,15 +91,20 @@ def remap_bank(
             "the bank was learned from PSFs, and the mask that other blur sizes follow from is not "
             "known: leave out the depth range, and its levels get new depths"
         )
-    return dataclasses.replace(for_camera(new, camera), stride_px=bank.stride_px)
+    return dataclasses.replace(with_camera(new, camera), stride_px=bank.stride_px)
 
 
 def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
-    """Return the pattern of the same lens and mask in a camera's setting (thesis eq. 3.14, 3.28).
+    """Pattern of the same lens and mask in a camera's setting (thesis eq. 3.14, 3.28).
 
-    All sizes in px scale with the width of the pictures. Where the focal length in mm is known, the
-    image distance follows the focus; else it stays, which is off by about the focal length over
-    the distance. Raises `InputError` if the lens cannot be focused there.
+    All sizes in px scale with the width of the pictures. If the focal length in mm is known, the
+    image distance follows the focus; else it stays, with a relative error of about the focal length
+    over the distance.
+
+    Raises
+    ------
+    InputError
+        If the lens cannot be focused there.
     """
     slope = pattern.slope_px_m * camera.image_width / pattern.image_width
     focal_length_mm = camera.focal_length_mm
@@ -96,7 +125,7 @@ def refocused(pattern: LearnedPattern, camera: Camera) -> LearnedPattern:
 def _with_new_depths(
     bank: FilterBank, pattern: LearnedPattern | None, camera: Camera, learned_from: str
 ) -> FilterBank:
-    """Return the same filters with the depths that their blur sizes have now."""
+    """Same filters with the depths of their blur sizes in a camera's setting."""
     sizes_px = bank.blur_sizes_px
     side = {"far": 1, "near": -1, "both": 0}[camera.side]
     if np.sign(np.median(sizes_px)) * side < 0:
@@ -119,4 +148,4 @@ def _with_new_depths(
         )
     stack = dataclasses.replace(bank.stack, depths_m=depths_m)
     remapped = dataclasses.replace(bank, stack=stack, pattern=pattern, learned_from=learned_from)
-    return for_camera(remapped, camera)
+    return with_camera(remapped, camera)

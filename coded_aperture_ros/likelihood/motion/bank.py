@@ -1,4 +1,4 @@
-"""The filter bank of defocus and motion together: motions as further hypotheses."""
+"""Filter bank of defocus and motion together: motions as further hypotheses."""
 
 import dataclasses
 
@@ -13,19 +13,19 @@ from coded_aperture_ros.likelihood.bank import (
     WindowedFourierBasis,
     with_all_frequencies,
 )
-from coded_aperture_ros.likelihood.bank.hypotheses import common_basis, fitted_coefficients
+from coded_aperture_ros.likelihood.bank.hypotheses import common_basis, fit_coefficients
 from coded_aperture_ros.likelihood.motion.kernels import Motions, blurred_psf, motion_kernel
 from coded_aperture_ros.optics import PsfStack
 
-# Every second contrast of a bank: decades. Half as many hypotheses, and as exact, see docs.
+# Every second contrast of a bank: decades. Half as many hypotheses, and as exact: docs/method.md.
 _EVERY_CONTRAST = 2
-# Hypotheses that the common basis is made from: as neighbours are much alike, some will do.
+# Hypotheses that the common basis is made from: neighbouring ones are similar.
 _BASIS_HYPOTHESES = 6000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionBank:
-    """Energies of every blur level under every motion.
+    """Filters of every blur level under every motion.
 
     A motion multiplies the spectrum that a level's texture is expected to have by the square of
     its own transfer function: a product ``h_d * h_m`` (thesis eq. 7.2) is one more hypothesis of
@@ -33,6 +33,10 @@ class MotionBank:
     those of the first motion, then of the second, and so on. Without a common basis its weights
     are made of `expected` [slopes, M, L, K]: the power of texture of unit contrast, model error
     included, behind every pair.
+
+    References
+    ----------
+    Martinello 2012, eq. 7.2.
     """
 
     defocus: FilterBank
@@ -50,13 +54,36 @@ class MotionBank:
 def learn_motion_bank(
     bank: FilterBank, motions: Motions, rank: int = 128, progress: Progress = iter
 ) -> MotionBank:
-    """Extend a bank of blur levels by motions.
+    """Bank of blur levels and motions, with the PSFs, window and textures of a bank.
 
-    The bank's PSFs, window and textures are taken over; all frequencies count. `rank` is the number
-    of vectors in the common basis: as many as there are frequencies, or more, are exact, and then
-    the frequencies themselves are the basis. `progress` wraps the iteration over motions, as
-    ``tqdm.tqdm`` does. Raises `InputError` if the longest motion and the largest PSF together do
-    not fit the bank's window, or the bank has levels on both sides of the focal plane.
+    Parameters
+    ----------
+    bank : FilterBank
+        Levels of one side of the focal plane.
+    motions : Motions
+    rank : int
+        Vectors in the common basis. As many as there are frequencies, or more, are exact: then
+        the frequencies themselves are the basis.
+    progress : callable, optional
+        Progress callback around the iteration over motions, such as ``tqdm.tqdm``.
+
+    Raises
+    ------
+    InputError
+        If the longest motion and the largest PSF together do not fit the bank's window, or the
+        bank has levels on both sides of the focal plane.
+
+    References
+    ----------
+    Martinello 2012, eq. 7.2.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0]))
+    >>> learn_motion_bank(bank, Motions.grid(2, [4.0]), rank=16).product.levels
+    6
     """
     if bank.stack.has_both_sides:
         raise InputError(
@@ -78,8 +105,8 @@ def learn_motion_bank(
     shape = expected.shape[:-1]  # [slopes, M * L]
     expected = expected.reshape(-1, fourier.size)
     multiplicity = fourier.multiplicity.astype(np.float64)
-    some = expected[:: max(len(expected) // (_BASIS_HYPOTHESES // len(ratios)), 1)]
-    variances = ratios[:, None, None] * some + 1
+    sample = expected[:: max(len(expected) // (_BASIS_HYPOTHESES // len(ratios)), 1)]
+    variances = ratios[:, None, None] * sample + 1
     scales = np.exp(np.log(variances).mean(axis=1))
     scales[:, multiplicity == 0] = 1  # these have no weight in any hypothesis
     exact = rank >= np.count_nonzero(multiplicity)
@@ -97,7 +124,7 @@ def learn_motion_bank(
         if exact:
             fitted = variance[:, multiplicity > 0].T
         else:
-            fitted = fitted_coefficients(basis, variance, scale)
+            fitted = fit_coefficients(basis, variance, scale)
         coefficients[:, index] = fitted.reshape(-1, *shape)
     product = dataclasses.replace(
         bank,
@@ -115,7 +142,7 @@ def learn_motion_bank(
 
 
 def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = iter) -> FloatArray:
-    """Return the expected power of every product of motion and level [slopes, M * L, K].
+    """Expected power of every product of motion and level [slopes, M * L, K].
 
     This is `WindowedFourierBasis.expected_power` in another order: the window's own spectrum
     spreads the power of each frequency over others, separably, which is a matrix from the left
@@ -145,14 +172,15 @@ def expected_powers(bank: FilterBank, motions: Motions, progress: Progress = ite
 
 
 def _spread(fourier: WindowedFourierBasis, period: int) -> FloatArray:
-    """Return the share of a torus' powers that a window sees at each frequency [N, period]."""
+    """Share of a torus' powers in a window's power at each frequency [N, period]."""
     n = fourier.window_px
-    seen = np.abs(scipy.fft.fft(fourier.window.astype(np.float64), period)) ** 2 / period
+    leakage = np.abs(scipy.fft.fft(fourier.window.astype(np.float64), period)) ** 2 / period
     index = np.arange(n)[:, None] * (period // n) - np.arange(period)
-    return seen[index % period].astype(np.float32)
+    return leakage[index % period].astype(np.float32)
 
 
 def _product_stack(stack: PsfStack, motions: Motions, width_px: int) -> PsfStack:
+    """PSFs of all pairs of motion and level, motion by motion."""
     psfs = [
         blurred_psf(psf, (vector[0], vector[1]), width_px)
         for vector in motions.vectors_px

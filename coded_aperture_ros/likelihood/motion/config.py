@@ -1,4 +1,4 @@
-"""Settings of depth and motion together."""
+"""Settings of the method for depth and motion together."""
 
 import dataclasses
 
@@ -10,7 +10,13 @@ from coded_aperture_ros.likelihood.motion.kernels import Motions
 
 @dataclasses.dataclass(frozen=True)
 class MotionConfig:
-    """Which motions during an exposure are told apart, and how they are chosen."""
+    """Motions during an exposure that are distinguished, and how they are chosen.
+
+    Examples
+    --------
+    >>> len(MotionConfig(motion_directions=4, motion_lengths=3).motions)
+    13
+    """
 
     parameter_group = "motion."
     motion_directions: int = option(

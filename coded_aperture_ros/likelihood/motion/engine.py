@@ -1,4 +1,4 @@
-"""Energies of blur levels and motions: of all of them, or of those that are expected."""
+"""Energies of pairs of motion and blur level: of all motions, or of expected ones."""
 
 from collections.abc import Sequence
 
@@ -7,23 +7,27 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, PerPatch
 from coded_aperture_ros.likelihood import NumpyEngine, Plan, take_logarithm
 from coded_aperture_ros.likelihood.motion.bank import MotionBank
-from coded_aperture_ros.likelihood.motion.exact import ExactEnergies, alike, most_likely_motion
-from coded_aperture_ros.likelihood.scoring import OWN_NOISE
+from coded_aperture_ros.likelihood.motion.exact import (
+    ExactEnergies,
+    group_equal_rows,
+    most_likely_motion,
+)
+from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE
 
-# Patches whose hypotheses are tried at a time: what a product of matrices gives for one motion
-# should stay in a core's cache until the least is found.
+# Patches whose hypotheses are compared at a time: the residuals of one motion should stay in a
+# core's cache until the least is found.
 _PATCHES = 256
-# Every so many motions are enough to find the texture of a patch.
+# Every so many motions are compared to find the texture of a patch.
 _EVERY_MOTION = 4
-# Motions, and the patches that they are tried on.
+# Indices of motions, and of the patches that they are compared on.
 _Task = tuple[Sequence[int], IndexArray]
 
 
 class MotionEngine(NumpyEngine):
-    """Computes the energies of pairs of motion and level for frames of one size; see `Engine`.
+    """Energies of pairs of motion and level for frames of one size; an `Engine`.
 
     With `finalists`, so many motions of each patch are compared under several textures, no motion
-    among them, and the bank's common basis only says which texture suits each patch; see
+    among them, and the bank's common basis only finds the texture of each patch; see
     `ExactEnergies`. With 0 the common basis decides, as it does where it is exact.
     """
 
@@ -37,7 +41,9 @@ class MotionEngine(NumpyEngine):
         threads: int = 1,
         finalists: int = 0,
     ) -> None:
-        super().__init__(Plan.of(bank.product, shape, stride_px).with_all_products(), threads)
+        super().__init__(
+            Plan.for_frames(bank.product, shape, stride_px).with_all_products(), threads
+        )
         self._motion_bank = bank
         self._motions, self._levels = len(bank.motions), bank.defocus.levels
         ratios = len(bank.product.ratios)
@@ -48,67 +54,82 @@ class MotionEngine(NumpyEngine):
         by_motion = np.ascontiguousarray(np.moveaxis(hypotheses, 2, 0))
         self._by_motion = by_motion.reshape(self._motions, ratios, -1, self.size)
         patches = self.grid.rows * self.grid.columns
-        self._of_all = np.empty((self._motions, self._levels, patches), np.float32)
-        # The bank of defocus alone has contrasts in smaller steps: it says what no motion explains.
-        self._alone = NumpyEngine(Plan.of(bank.defocus, shape, stride_px), threads)
+        self._all_energies = np.empty((self._motions, self._levels, patches), np.float32)
+        # The bank of defocus has contrasts in smaller steps, which no motion is compared under.
+        self._defocus_engine = NumpyEngine(Plan.for_frames(bank.defocus, shape, stride_px), threads)
         self._static = np.hypot(*bank.motions.vectors_px.T) == 0
         self._finalists = finalists
         self._exact: ExactEnergies | None = None
         if finalists and not bank.exact:
             self._exact = ExactEnergies(bank, self.plan, self._workers)
-        # Of the transforms, and 1.
+        # Products of the transforms, and 1.
         self._products = np.ones((patches, self.plan.features.shape[1] + 1), np.float32)
-        tried = len(self.plan.contrasts) * self._by_motion.shape[2]
-        self._excess = [np.empty(tried * _PATCHES, np.float32) for _ in range(threads)]
+        compared = len(self.plan.contrasts) * self._by_motion.shape[2]
+        self._excess = [np.empty(compared * _PATCHES, np.float32) for _ in range(threads)]
 
     @property
     def size(self) -> int:
-        """How many numbers a patch is known by: the vectors of the basis, and a constant."""
+        """Numbers that describe a patch: one for each vector of the basis, and a constant."""
         return int(self.plan.hypotheses.shape[1])
 
     def energies(self, noise: PerPatch) -> FloatArray:
-        """Return the least energy of every level under any motion [rows, columns, L]."""
-        return np.moveaxis(self.of_all(noise).min(axis=0), 0, -1)
+        """Least energy of every level under any motion [rows, columns, L]."""
+        return np.moveaxis(self.all_energies(noise).min(axis=0), 0, -1)
 
-    def of_static(self, noise: PerPatch) -> FloatArray:
-        """Return the energies of all levels if nothing moves [L, rows, columns]; see `of_all`."""
-        self._alone.take_products(self._products[:, :-1])
-        return np.moveaxis(self._alone.energies(noise), -1, 0)
+    def static_energies(self, noise: PerPatch) -> FloatArray:
+        """Energies of all levels if nothing moves [L, rows, columns]; see `all_energies`."""
+        self._defocus_engine.take_products(self._products[:, :-1])
+        return np.moveaxis(self._defocus_engine.energies(noise), -1, 0)
 
-    def of_all(self, noise: PerPatch) -> FloatArray:
-        """Return the energies of all motions and levels [M, L, rows, columns].
+    def all_energies(self, noise: PerPatch) -> FloatArray:
+        """Energies of all motions and levels [M, L, rows, columns]; overwritten by the next frame.
 
-        Of the frame that `project` took last; overwritten by the next. For a standard deviation of
-        the noise, > 0, of the frame or of each patch.
+        Parameters
+        ----------
+        noise : float, or ndarray, float32 [rows, columns]
+            Standard deviation, linear light, > 0, of the frame or of each patch.
         """
-        every = np.arange(self._of_all.shape[2])
-        some = [every[start : start + _PATCHES] for start in range(0, len(every), _PATCHES)]
+        patches = np.arange(self._all_energies.shape[2])
+        groups = [patches[start : start + _PATCHES] for start in range(0, len(patches), _PATCHES)]
         if self._exact is None:
-            self._compete(noise, self._of_all, [(range(self._motions), part) for part in some])
+            self._compete(
+                noise, self._all_energies, [(range(self._motions), group) for group in groups]
+            )
         else:
             motions = range(0, self._motions, _EVERY_MOTION)
-            self._take_textures(self._exact, noise, [(motions, part) for part in some])
-            self._exact.of_all(self._of_all)
-            index = np.broadcast_to(np.arange(self._motions)[:, None], (self._motions, len(every)))
+            self._take_textures(self._exact, noise, [(motions, group) for group in groups])
+            self._exact.all_energies(self._all_energies)
+            index = np.broadcast_to(
+                np.arange(self._motions)[:, None], (self._motions, len(patches))
+            )
             static = self._static[index]
-            self._exact.compare_best(self._of_all, index, static, self._finalists)
-        return self._of_all.reshape(*self._of_all.shape[:2], *self._precision.shape)
+            self._exact.compare_best(self._all_energies, index, static, self._finalists)
+        return self._all_energies.reshape(*self._all_energies.shape[:2], *self._precision.shape)
 
-    def of_some(self, noise: PerPatch, candidates: IndexArray) -> FloatArray:
-        """Return the energies of some motions for each patch [k, L, rows, columns].
+    def energies_for(self, noise: PerPatch, candidates: IndexArray) -> FloatArray:
+        """Energies of candidate motions for each patch [k, L, rows, columns].
 
-        Under one texture each: there are no finalists. The fewer different sets there are among the
-        `candidates`, which are indices of motions [rows, columns, k], the faster.
+        Each patch has one texture: there are no finalists.
+
+        Parameters
+        ----------
+        noise : float, or ndarray, float32 [rows, columns]
+            See `all_energies`.
+        candidates : ndarray, int [rows, columns, k]
+            Indices of motions; the fewer different sets, the faster.
         """
         rows, columns, count = candidates.shape
         energies = np.empty((count, self._levels, rows * columns), np.float32)
-        sets = candidates.reshape(-1, count).T
-        tasks = [(sets[:, part[0]].tolist(), part) for part in alike(sets, _PATCHES)]
+        sets = candidates.reshape(-1, count)
+        groups = group_equal_rows(sets, _PATCHES)
+        tasks = [(sets[group[0]].tolist(), group) for group in groups]
         if self._exact is None:
             self._compete(noise, energies, tasks)
         else:
-            self._take_textures(self._exact, noise, [(some[:1], part) for some, part in tasks])
-            energies[:] = self._exact.of_some(sets)
+            self._take_textures(
+                self._exact, noise, [(motions[:1], group) for motions, group in tasks]
+            )
+            energies[:] = self._exact.energies_for(sets.T)
         return energies.reshape(count, self._levels, rows, columns)
 
     def _project_row(self, row: int, thread: int) -> None:
@@ -119,66 +140,71 @@ class MotionEngine(NumpyEngine):
         products[:] = self._scratch[thread].power.reshape(-1, columns).T
 
     def _compete(self, noise: PerPatch, energies: FloatArray, tasks: list[_Task]) -> None:
-        """Find the energies of some patches under some motions; see `FilterBank`."""
-        measured, tried = self._measured(noise), self.plan.tried(noise)
+        """Compute the energies of patches under motions; see `FilterBank`."""
+        described, ratios = self._describe(noise), self.plan.plausible_ratios(noise)
 
         def compete(task: _Task, thread: int) -> None:
             motions, patches = task
-            seen = measured[:, patches]
-            found = np.empty((len(motions), self._levels, len(patches)), np.float32)
-            for motion, out in zip(motions, found, strict=True):
-                self._excess_of(motion, tried, seen[:-1], thread).min(axis=0, out=out)
-            energies[..., patches] = take_logarithm(found, seen[-1], self.plan.count)
+            group = described[:, patches]
+            least = np.empty((len(motions), self._levels, len(patches)), np.float32)
+            for motion, out in zip(motions, least, strict=True):
+                self._compute_excess(motion, ratios, group[:-1], thread).min(axis=0, out=out)
+            energies[..., patches] = take_logarithm(least, group[-1], self.plan.count)
 
         self._workers.each(compete, tasks)
 
     def _take_textures(self, exact: ExactEnergies, noise: PerPatch, tasks: list[_Task]) -> None:
-        """Find which texture suits each patch under some motions, and go on with it."""
-        measured, tried = self._measured(noise), self.plan.tried(noise)
+        """Find the texture of each patch under motions, and pass it to the exact energies."""
+        described, ratios = self._describe(noise), self.plan.plausible_ratios(noise)
         texture = np.empty(self._precision.size, np.intp)
 
         def find(task: _Task, thread: int) -> None:
             motions, patches = task
-            seen = measured[:-1, patches]
-            least = [self._excess_of(motion, tried, seen, thread).min(axis=1) for motion in motions]
+            group = described[:-1, patches]
+            least = [
+                self._compute_excess(motion, ratios, group, thread).min(axis=1)
+                for motion in motions
+            ]
             texture[patches] = np.min(least, axis=0).argmin(axis=0)
 
         self._workers.each(find, tasks)
-        exact.take(self._spectra(), texture, tried)
+        exact.take(self._spectra(), texture, ratios)
 
     def _spectra(self) -> FloatArray:
-        """Return the products of the transforms in units of the noise, and 1 [patches, F + 1]."""
+        """Products of the transforms in units of the noise, and 1 [patches, F + 1]."""
         spectra = self._products * self._precision.reshape(-1, 1)
         spectra[:, -1] = 1
         return spectra
 
-    def refined(
+    def refine_motion(
         self, noise: PerPatch, patches: BoolArray, start_px: DoubleArray, tolerance_px: float
     ) -> DoubleArray:
-        """Return the likeliest motion of some patches [rows, columns]; see `most_likely_motion`.
+        """Likeliest motion of all `patches` [rows, columns], px [2]; see `most_likely_motion`.
 
-        Of the frame, and with the noise, that `of_all` took last.
+        The frame and the noise are those of the last call of `all_energies`.
         """
         spectra = self._spectra()[patches.ravel()]
-        tried = self.plan.tried(noise)
+        ratios = self.plan.plausible_ratios(noise)
         return most_likely_motion(
-            self._motion_bank, self.plan, spectra, tried, start_px, tolerance_px
+            self._motion_bank, self.plan, spectra, ratios, start_px, tolerance_px
         )
 
-    def _excess_of(self, motion: int, tried: slice, seen: FloatArray, thread: int) -> FloatArray:
-        """Return what each hypothesis leaves of some patches [textures, L, n]; a buffer."""
-        hypotheses = self._by_motion[motion, tried].reshape(-1, self.size)
-        count = seen.shape[1]
+    def _compute_excess(
+        self, motion: int, ratios: slice, described: FloatArray, thread: int
+    ) -> FloatArray:
+        """Residual of patches under each hypothesis of a motion [textures, L, n]; a buffer."""
+        hypotheses = self._by_motion[motion, ratios].reshape(-1, self.size)
+        count = described.shape[1]
         excess = self._excess[thread][: len(hypotheses) * count].reshape(len(hypotheses), count)
-        np.matmul(hypotheses, seen, out=excess)
+        np.matmul(hypotheses, described, out=excess)
         return excess.reshape(-1, self._levels, count)
 
-    def _measured(self, noise: PerPatch) -> FloatArray:
-        """Return what all patches are known by, in units of the noise, and what noise explains.
+    def _describe(self, noise: PerPatch) -> FloatArray:
+        """Functions of all patches, in units of the noise, float32 [R + 2, patches].
 
-        ndarray, float32 [R + 2, patches]: a constant is the last but one.
+        The last but one is a constant, the last is the residual without texture.
         """
         self._precision[:] = 1 / (self.plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1) * self._precision.ravel()
         constant = np.ones_like(functions[:1])
-        return np.concatenate([functions[:-1], constant, functions[-1:] + OWN_NOISE])
+        return np.concatenate([functions[:-1], constant, functions[-1:] + MIN_NOISE_SHARE])

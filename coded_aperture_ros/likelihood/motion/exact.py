@@ -1,9 +1,9 @@
-"""Energies from the spectra themselves, without a common basis.
+"""Energies of motions from the spectra themselves, without a common basis.
 
-A basis that all motions share leaves out a little of each. That decides between neighbouring
-motions where there is hardly any noise. But the common basis knows well how rough a patch's texture
-is, and how strong: with that, all motions can be compared exactly at once, and the best few again
-under other textures.
+A basis that all motions share leaves out a little of each, which decides between neighbouring
+motions where there is hardly any noise. But it is exact enough for the slope and the contrast of a
+patch's texture: under that texture all motions are compared exactly, and the best few again under
+other textures.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.likelihood.motion.bank import MotionBank, expected_powers
 from coded_aperture_ros.likelihood.motion.kernels import Motions
 from coded_aperture_ros.likelihood.plan import Plan
-from coded_aperture_ros.likelihood.scoring import LEAST_EXCESS, OWN_NOISE
+from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE
 
-# The last few of each patch are compared under so many contrasts, around the one that suits it.
+# The best few of each patch are compared under so many contrasts, around the most likely one.
 _CONTRASTS = 3
-# Patches whose hypotheses are tried at a time.
+# Patches whose hypotheses are compared at a time.
 _PATCHES = 128
-# Ratios of contrast and noise whose weights are kept, more than one frame needs: noise varies.
+# Number of ratios whose weights are kept beyond those that a frame needs: noise varies.
 _SPARE_RATIOS = 2
 # First step of the search for a motion, px.
 _STEP_PX = 0.5
@@ -30,40 +30,48 @@ _SEARCH_PATCHES = 100
 
 
 class ExactEnergies:
-    """Computes energies of pairs of motion and level for all patches of a frame.
+    """Energies of pairs of motion and level for all patches of a frame.
 
-    The weights of all ratios of contrast and noise would be large; those of the ratios that the
-    frame's noise calls for are made when they are needed, and kept.
+    The weights of all ratios of contrast and noise would be large; those of the ratios that are
+    plausible under the frame's noise are made when they are needed, and kept.
     """
 
     def __init__(self, bank: MotionBank, plan: Plan, workers: Workers) -> None:
-        self._bank, self._plan, self._workers = bank, plan, workers
+        self._bank = bank
+        self._plan = plan
+        self._workers = workers
         self._weights: dict[int, FloatArray] = {}
         self._spectra = np.empty((0, 0), np.float32)
         self._textureless = np.empty(0, np.float32)
         self._texture = np.empty((2, 0), np.intp)
-        self._tried = slice(0, 0)
+        self._ratios = slice(0, 0)
         size = plan.features.shape[1] + 1
         slopes, motions, levels, _ = bank.expected.shape
         excess = max(motions, _CONTRASTS * slopes) * levels * _PATCHES
-        self._seen = np.empty((workers.threads, _PATCHES, size), np.float32)
+        self._group_spectra = np.empty((workers.threads, _PATCHES, size), np.float32)
         self._excess = np.empty((workers.threads, excess), np.float32)
 
-    def take(self, spectra: FloatArray, texture: IndexArray, tried: slice) -> None:
+    def take(self, spectra: FloatArray, texture: IndexArray, ratios: slice) -> None:
         """Take the patches of a frame.
 
-        Their `spectra` [patches, F + 1] are the plan's products of transforms in units of the
-        noise, and 1; `texture` [patches] is the hypothesis that suits each, ``ratio * slopes +
-        slope``, counted from the first ratio that is `tried`: those that suit the frame's noise.
+        Parameters
+        ----------
+        spectra : ndarray, float32 [patches, F + 1]
+            The plan's products of transforms in units of the noise, and 1.
+        texture : ndarray, int [patches]
+            Most likely texture of each, ``ratio * slopes + slope``, counted from the first of the
+            `ratios`.
+        ratios : slice
+            Ratios that are plausible under the frame's noise.
         """
         ratio, slope = np.divmod(texture, len(self._bank.expected))
-        self._spectra, self._texture = spectra, np.array([ratio + tried.start, slope])
-        self._textureless = spectra @ np.append(self._plan.features[-1], OWN_NOISE)
-        self._tried = tried
+        self._spectra, self._texture = spectra, np.array([ratio + ratios.start, slope])
+        self._textureless = spectra @ np.append(self._plan.features[-1], MIN_NOISE_SHARE)
+        self._ratios = ratios
         self._make_weights()
 
-    def of_all(self, energies: FloatArray) -> None:
-        """Compute the energies of all motions under each patch's texture [M, L, patches]."""
+    def all_energies(self, energies: FloatArray) -> None:
+        """Write the energies of all motions under each patch's texture [M, L, patches]."""
         pairs = energies.reshape(-1, energies.shape[2])
 
         def compute(patches: IndexArray, thread: int) -> None:
@@ -71,10 +79,10 @@ class ExactEnergies:
             block = self._weights[int(ratio)][slope].reshape(len(pairs), -1)
             pairs[:, patches] = self._least([block], patches, len(pairs), thread)
 
-        self._workers.each(compute, alike(self._texture))
+        self._workers.each(compute, group_equal_rows(self._texture.T))
 
-    def of_some(self, motions: IndexArray) -> FloatArray:
-        """Return the energies of some motions [k, patches] likewise, [k, L, patches]."""
+    def energies_for(self, motions: IndexArray) -> FloatArray:
+        """Energies of `motions` [k, patches] under each patch's texture [k, L, patches]."""
         count, levels = len(motions), self._bank.defocus.levels
         energies = np.empty((count * levels, motions.shape[1]), np.float32)
         keys = np.vstack([motions, self._texture])
@@ -85,7 +93,7 @@ class ExactEnergies:
             block = block.reshape(len(energies), -1)
             energies[:, patches] = self._least([block], patches, len(energies), thread)
 
-        self._workers.each(compute, alike(keys))
+        self._workers.each(compute, group_equal_rows(keys.T))
         return energies.reshape(count, levels, -1)
 
     def compare_best(
@@ -93,58 +101,67 @@ class ExactEnergies:
     ) -> None:
         """Lower the energies of the best few motions to the least under several textures.
 
-        Of the `energies` [k, L, patches] of `motions` [k, patches], as from `of_all`, the best
-        `count` of each patch are compared, the `seeded` [k, patches] among them.
+        Parameters
+        ----------
+        energies : ndarray, float32 [k, L, patches]
+            As from `all_energies`; changed in place.
+        motions : ndarray, int [k, patches]
+            Indices of the motions.
+        seeded : ndarray, bool [k, patches]
+            Motions that are always among the best.
+        count : int
+            Motions of each patch that are compared.
         """
         best = energies.min(axis=1)
         best[seeded] = -np.inf
         count = min(count, len(best))
         rows = np.argpartition(best, count - 1, axis=0)[:count].T.ravel()
         patches = np.repeat(np.arange(best.shape[1]), count)
-        contrasts = min(_CONTRASTS, self._tried.stop - self._tried.start)
+        contrasts = min(_CONTRASTS, self._ratios.stop - self._ratios.start)
         first = self._texture[0, patches] - contrasts // 2
-        first = np.clip(first, self._tried.start, self._tried.stop - contrasts)
+        first = np.clip(first, self._ratios.start, self._ratios.stop - contrasts)
         keys = np.array([motions[rows, patches], first])
         found = np.empty((len(patches), self._bank.defocus.levels), np.float32)
 
         def compute(members: IndexArray, thread: int) -> None:
             motion, first = keys[:, members[0]].tolist()
             blocks = [
-                of_slope[motion]
+                weights[motion]
                 for ratio in range(first, first + contrasts)
-                for of_slope in self._weights[ratio]
+                for weights in self._weights[ratio]
             ]
             found[members] = self._least(blocks, patches[members], found.shape[1], thread).T
 
-        self._workers.each(compute, alike(keys))
+        self._workers.each(compute, group_equal_rows(keys.T))
         energies[rows, :, patches] = found
 
     def _least(
         self, blocks: list[FloatArray], patches: IndexArray, count: int, thread: int
     ) -> FloatArray:
-        """Return the energies [count, n] of patches: the least of all blocks' [count, F + 1]."""
-        seen = self._seen[thread, : len(patches)]
-        np.take(self._spectra, patches, axis=0, out=seen)
+        """Energies of patches [count, n]: the least of all blocks of weights [count, F + 1]."""
+        spectra = self._group_spectra[thread, : len(patches)]
+        np.take(self._spectra, patches, axis=0, out=spectra)
         excess = self._excess[thread, : len(blocks) * count * len(patches)]
         excess = excess.reshape(len(blocks), count, len(patches))
         for block, out in zip(blocks, excess, strict=True):
-            np.matmul(block, seen.T, out=out)
+            np.matmul(block, spectra.T, out=out)
         least = excess[0] if len(blocks) == 1 else excess.min(axis=0)
         return take_logarithm(least, self._textureless[patches], self._plan.count)
 
     def _make_weights(self) -> None:
-        needed = range(self._tried.start, self._tried.stop)
+        """Make the weights of the ratios of the frame, and drop those of others."""
+        needed = range(self._ratios.start, self._ratios.stop)
         for ratio in needed:
             if ratio not in self._weights:
                 unneeded = [each for each in self._weights if each not in needed]
                 if len(self._weights) >= len(needed) + _SPARE_RATIOS:
                     del self._weights[unneeded[0]]
-                self._weights[ratio] = self._weights_of(ratio)
+                self._weights[ratio] = self._make_weights_for(ratio)
 
-    def _weights_of(self, ratio: int) -> FloatArray:
-        """Return the weights of all hypotheses of a ratio [slopes, M, L, F + 1].
+    def _make_weights_for(self, ratio: int) -> FloatArray:
+        """Weights of the products of transforms, and 1, of a ratio [slopes, M, L, F + 1].
 
-        As `Plan.hypotheses`, but of the products of transforms.
+        See `Plan.hypotheses`, which are in the common basis.
         """
         bank, product = self._bank, self._bank.product
         multiplicity = product.fourier.multiplicity
@@ -155,20 +172,20 @@ class ExactEnergies:
         weights = np.empty((*bank.expected.shape[:3], size), np.float32)
         for index in np.ndindex(bank.expected.shape[:2]):
             variance = np.float32(product.ratios[ratio]) * bank.expected[index] + 1
-            of_power = multiplicity / variance * gains[index]
-            weights[index][:, :-1] = self._plan.of_products(of_power.T).T
-        weights[..., -1:] = OWN_NOISE * gains
+            filters = multiplicity / variance * gains[index]
+            weights[index][:, :-1] = self._plan.functions_of_products(filters.T).T
+        weights[..., -1:] = MIN_NOISE_SHARE * gains
         return weights
 
 
-def alike(keys: IndexArray, most: int = _PATCHES) -> list[IndexArray]:
-    """Return where the keys [.., n] are equal, in parts of at most so many."""
-    order = np.lexsort(keys[::-1])
-    ends = np.flatnonzero(np.diff(keys[:, order]).any(axis=0)) + 1
+def group_equal_rows(keys: IndexArray, size: int = _PATCHES) -> list[IndexArray]:
+    """Indices of equal rows of `keys` [n, k], in groups of at most `size`."""
+    order = np.lexsort(keys.T[::-1])
+    ends = np.flatnonzero(np.diff(keys[order], axis=0).any(axis=1)) + 1
     return [
-        group[start : start + most]
+        group[start : start + size]
         for group in np.split(order, ends)
-        for start in range(0, len(group), most)
+        for start in range(0, len(group), size)
     ]
 
 
@@ -176,33 +193,43 @@ def most_likely_motion(
     bank: MotionBank,
     plan: Plan,
     spectra: FloatArray,
-    tried: slice,
+    ratios: slice,
     start_px: DoubleArray,
     tolerance_px: float,
 ) -> DoubleArray:
-    """Search around a motion for the likeliest one of some patches, along it and across.
+    """Likeliest motion of patches, px [2], beyond those of the bank.
 
-    From `start_px`, not zeros, in steps that get smaller, down to `tolerance_px`; at most the
-    bank's longest motion. For the `spectra` and the ratios that are `tried` see
-    `ExactEnergies.take`.
+    The search goes along a motion and across, in steps that get smaller.
+
+    Parameters
+    ----------
+    bank : MotionBank
+        No motion is longer than its longest.
+    plan : Plan
+    spectra, ratios
+        See `ExactEnergies.take`.
+    start_px : ndarray, float64 [2]
+        First motion, px, not zeros.
+    tolerance_px : float
+        Last step, px.
     """
-    some = spectra[:: -(-len(spectra) // _SEARCH_PATCHES)]
-    ratios = bank.product.ratios[tried]
+    sample = spectra[:: -(-len(spectra) // _SEARCH_PATCHES)]
+    compared = bank.product.ratios[ratios]
 
     def energy(motion: DoubleArray) -> float:
         if np.hypot(*motion) > bank.motions.longest_px + 1e-6:
             return np.inf
-        return _energy(bank.defocus, plan, some, ratios, motion)
+        return _energy(bank.defocus, plan, sample, compared, motion)
 
     along = start_px / np.hypot(*start_px)
     across = np.array([-along[1], along[0]])
     best, least, step = start_px, energy(start_px), _STEP_PX
     while step >= tolerance_px:
-        for way in (along, -along, across, -across):
-            there = best + step * way
-            found = energy(there)
-            if found < least:
-                best, least = there, found
+        for direction in (along, -along, across, -across):
+            neighbour = best + step * direction
+            neighbour_energy = energy(neighbour)
+            if neighbour_energy < least:
+                best, least = neighbour, neighbour_energy
                 break
         else:
             step /= 2
@@ -212,7 +239,7 @@ def most_likely_motion(
 def _energy(
     defocus: FilterBank, plan: Plan, spectra: FloatArray, ratios: DoubleArray, motion: DoubleArray
 ) -> float:
-    """Return the energy of all patches, each at its likeliest level and texture."""
+    """Energy of all patches together, each at its likeliest level and texture."""
     multiplicity = defocus.fourier.multiplicity
     expected = expected_powers(defocus, Motions(motion[None])).reshape(-1, defocus.fourier.size)
     expected += np.float32(defocus.prior.model_error**2)
@@ -220,8 +247,8 @@ def _energy(
     for ratio in ratios:
         variance = np.float32(ratio) * expected + 1
         gains = np.exp(np.log(variance) @ multiplicity / plan.count)[:, None]
-        weights = plan.of_products((multiplicity / variance * gains).T)
-        excess = spectra[:, :-1] @ weights.astype(np.float32) + OWN_NOISE * gains.T
+        weights = plan.functions_of_products((multiplicity / variance * gains).T)
+        excess = spectra[:, :-1] @ weights.astype(np.float32) + MIN_NOISE_SHARE * gains.T
         np.minimum(least, excess.min(axis=1), out=least)
-    textureless = spectra @ np.append(plan.features[-1], OWN_NOISE)
-    return float(np.log(np.clip(least, LEAST_EXCESS, textureless)).sum())
+    textureless = spectra @ np.append(plan.features[-1], MIN_NOISE_SHARE)
+    return float(np.log(np.clip(least, MIN_EXCESS, textureless)).sum())

@@ -1,4 +1,4 @@
-"""Choosing motion and depth together: what one knows of the other, and of its neighbours."""
+"""Joint estimate of motion and depth, with neighbouring patches (thesis eq. 7.4)."""
 
 import dataclasses
 
@@ -34,64 +34,68 @@ _P2 = 24.0
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Separated:
-    """What a frame says about motion, and about depth whatever the motion.
+    """Motion of every patch, and the cost of every level, marginalised over motion."""
 
-    `motion` is the index of every patch's motion [rows, columns], `candidates` are the motions that
-    were tried [k, rows, columns], and `probability` that of each of them, by the patch alone.
-    `level_cost` is that of every blur level [rows, columns, L], motions weighed by how likely they
-    are beside the neighbours'; `vectors_px` [M, 2] what the motions exactly are, where they occur.
-    """
-
-    motion: IndexArray
-    candidates: IndexArray
-    probability: FloatArray
-    level_cost: FloatArray
-    vectors_px: DoubleArray
+    motion: IndexArray  # [rows, columns]; index of every patch's motion
+    candidates: IndexArray  # [k, rows, columns]; indices of the motions that were compared
+    probability: FloatArray  # [k, rows, columns]; of each candidate, by the patch alone
+    level_cost: FloatArray  # [rows, columns, L]; motions weighted by those of the neighbours
+    vectors_px: DoubleArray  # [M, 2]; motions, px, refined if they occur
 
 
 def separate(cost: FloatArray, motions: Motions, config: MotionConfig, overlap: float) -> Separated:
-    """Choose the motions of all patches together, and take them out of the cost of levels.
+    """Motions of all patches together, and the cost of levels marginalised over motion.
 
     Thesis eq. 7.4 has total variation of depth and of motion beside the data. Here the few motions
-    that occur are found first, whatever the depth; each patch gets one of them, semi-globally; and
-    then the depth follows under what has become of the motions: not only the chosen one counts,
-    but each as far as its neighbours allow for it.
+    that occur are found first, independent of depth; each patch gets one of them by semi-global
+    matching; then the cost of a level is that of all motions, each weighted by the motions of the
+    neighbouring patches.
 
-    Takes the cost of every pair of motion and level [M, L, rows, columns], 0 for the likeliest, and
-    the `overlap`: width of the patches over the distance between them.
+    Parameters
+    ----------
+    cost : ndarray, float32 [M, L, rows, columns]
+        Cost of every pair of motion and level, 0 for the likeliest.
+    motions : Motions
+    config : MotionConfig
+    overlap : float
+        Side of the patches over the distance between them.
     """
     likelihood = np.exp(-cost)
     probability = likelihood.sum(axis=1)
     probability /= probability.sum(axis=0)
-    of_motion = -np.log(np.maximum(probability, np.float32(1e-30)))
-    of_motion -= of_motion.min(axis=0)
-    some = occurring_motions(of_motion, motions, overlap)
+    motion_cost = -np.log(np.maximum(probability, np.float32(1e-30)))
+    motion_cost -= motion_cost.min(axis=0)
+    occurring = occurring_motions(motion_cost, motions, overlap)
     static = np.hypot(*motions.vectors_px.T) == 0
-    handicap = np.where(static, 0, config.motion_threshold).astype(np.float32)[some, None, None]
-    known = of_motion[some] + handicap
-    known = np.minimum(known - known.min(axis=0), np.float32(_MAX_CHOICE_COST))
+    handicap = np.where(static, 0, config.motion_threshold).astype(np.float32)[
+        occurring, None, None
+    ]
+    choice_cost = motion_cost[occurring] + handicap
+    choice_cost = np.minimum(choice_cost - choice_cost.min(axis=0), np.float32(_MAX_CHOICE_COST))
     apart_px = motions.distances_px(motions.vectors_px)
     neighbours = np.argsort(apart_px, axis=1)[:, 1 : _NEIGHBOURS + 1]  # the nearest is itself
-    total = _semi_global(known, _within(neighbours, some), config.motion_smoothness)
-    motion = some[total.argmin(axis=0)]
+    total = _semi_global(
+        choice_cost, _occurring_neighbours(neighbours, occurring), config.motion_smoothness
+    )
+    motion = occurring[total.argmin(axis=0)]
     vectors = motions.vectors_px.copy()
-    for index in some[~static[some]]:
+    for index in occurring[~static[occurring]]:
         here = motion == index
         if here.any():
-            of_all = np.minimum(of_motion[:, here], np.float32(_MAX_OCCURRING_COST)).sum(axis=1)
-            vectors[index] = refined_motion(of_all, motions, int(index))
-    others = total - known + handicap
-    others -= others.min(axis=0)
-    # Others count as well, at a price: a smooth patch may look like none of those that occur.
+            summed = np.minimum(motion_cost[:, here], np.float32(_MAX_OCCURRING_COST)).sum(axis=1)
+            vectors[index] = refine_motion(summed, motions, int(index))
+    prices = total - choice_cost + handicap
+    prices -= prices.min(axis=0)
+    # Motions that do not occur count as well: a smooth patch may look like none of the others.
     against = np.broadcast_to(
-        others.min(axis=0) + np.float32(_NOT_OCCURRING_COST), probability.shape
+        prices.min(axis=0) + np.float32(_NOT_OCCURRING_COST), probability.shape
     ).copy()
-    for index, price in zip(some, others, strict=True):
-        # What moves may do so a little differently.
+    for index, price in zip(occurring, prices, strict=True):
+        # Neighbouring patches may move a little differently.
         near = [index] if static[index] else [index, *neighbours[index]]
         against[near] = np.minimum(against[near], price)
-    weighed = np.einsum("mlrc,mrc->lrc", likelihood, np.exp(-against))
-    level = -np.log(np.maximum(weighed, np.float32(1e-30)))
+    weighted = np.einsum("mlrc,mrc->lrc", likelihood, np.exp(-against))
+    level = -np.log(np.maximum(weighted, np.float32(1e-30)))
     level -= level.min(axis=0)
     every = np.arange(len(motions))[:, None, None]
     candidates = np.broadcast_to(every, probability.shape)
@@ -99,45 +103,47 @@ def separate(cost: FloatArray, motions: Motions, config: MotionConfig, overlap: 
 
 
 def separate_expected(cost: FloatArray, candidates: IndexArray, motions: Motions) -> Separated:
-    """Choose among a few motions that were expected; neighbours are as good already.
+    """Motions of all patches among expected ones, each by itself, and the cost of levels.
 
-    Takes the cost of every pair of candidate and level [k, L, rows, columns], and which motions the
-    candidates are [rows, columns, k].
+    Parameters
+    ----------
+    cost : ndarray, float32 [k, L, rows, columns]
+        Cost of every pair of candidate and level, 0 for the likeliest.
+    candidates : ndarray, int [rows, columns, k]
+        Indices of the candidates among the `motions`.
+    motions : Motions
     """
     likelihood = np.exp(-cost)
     probability = likelihood.sum(axis=1)
     probability /= probability.sum(axis=0)
     level = -np.log(np.maximum(likelihood.sum(axis=0), np.float32(1e-30)))
     level -= level.min(axis=0)
-    tried = np.moveaxis(candidates, -1, 0)
-    motion = np.take_along_axis(tried, probability.argmax(axis=0)[None], axis=0)[0]
+    by_candidate = np.moveaxis(candidates, -1, 0)
+    motion = np.take_along_axis(by_candidate, probability.argmax(axis=0)[None], axis=0)[0]
     level = np.moveaxis(level, 0, -1)
-    return Separated(motion, tried, probability, level, motions.vectors_px)
+    return Separated(motion, by_candidate, probability, level, motions.vectors_px)
 
 
-def _within(neighbours: IndexArray, some: IndexArray) -> IndexArray:
-    """Return which of some motions are neighbours [m, n], as numbers of these; else its own."""
+def _occurring_neighbours(neighbours: IndexArray, occurring: IndexArray) -> IndexArray:
+    """Neighbours [m, n] of the m motions that occur, as their numbers; its own if it does not."""
     number = np.full(len(neighbours), -1)
-    number[some] = np.arange(len(some))
-    of_some = number[neighbours[some]]
-    return np.where(of_some < 0, np.arange(len(some))[:, None], of_some)
+    number[occurring] = np.arange(len(occurring))
+    found = number[neighbours[occurring]]
+    return np.where(found < 0, np.arange(len(occurring))[:, None], found)
 
 
-def _semi_global(known: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
-    """Minimise along rows and columns, both ways, and add up, as `depth` does with levels.
-
-    Takes and gives [m, rows, columns].
-    """
-    of_rows = np.moveaxis(known, 0, 1)  # [rows, M, columns]
-    of_columns = np.moveaxis(known, (2, 1), (0, 2))  # [columns, M, rows]
-    down = _both_ways(of_rows, neighbours, smoothness)
-    across = _both_ways(of_columns, neighbours, smoothness)
+def _semi_global(cost: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
+    """Costs [m, rows, columns] of the best paths along rows and columns, both ways, added up."""
+    by_row = np.moveaxis(cost, 0, 1)  # [rows, m, columns]
+    by_column = np.moveaxis(cost, (2, 1), (0, 2))  # [columns, m, rows]
+    down = _path_costs(by_row, neighbours, smoothness)
+    across = _path_costs(by_column, neighbours, smoothness)
     total = np.moveaxis(down, 1, 0) + np.moveaxis(across, (0, 2), (2, 1))
-    return total - 3 * known  # every path counts the cost of its patch
+    return total - 3 * cost  # every path counts the cost of its patch
 
 
-def _both_ways(cost: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
-    """Add up the costs of the best paths that reach each patch along the first axis."""
+def _path_costs(cost: FloatArray, neighbours: IndexArray, smoothness: float) -> FloatArray:
+    """Costs of the best paths that reach each patch along the first axis, both ways, added up."""
     p1, p2 = np.float32(_P1 * smoothness), np.float32(_P2 * smoothness)
     costs = np.stack([cost, cost[::-1]], axis=1)  # [n, 2, M, m]
     for i in range(1, len(costs)):
@@ -152,18 +158,22 @@ def _both_ways(cost: FloatArray, neighbours: IndexArray, smoothness: float) -> F
     return np.asarray(costs[:, 0] + costs[::-1, 1])
 
 
-def occurring_motions(of_motion: FloatArray, motions: Motions, overlap: float) -> IndexArray:
-    """Choose the few motions that explain all patches, thesis eq. 7.4 with a price for each motion.
+def occurring_motions(cost: FloatArray, motions: Motions, overlap: float) -> IndexArray:
+    """Indices of the few motions that explain all patches [m], first no motion if it is known.
 
-    One after the other those are added that the patches gain most by, windows' neighbourhoods
-    taken together, until no motion is worth it.
+    This is thesis eq. 7.4 with a price for each motion: the motion that lowers the cost of the
+    patches most, averaged over neighbourhoods, is added until none lowers it enough.
 
-    Takes the cost of every motion whatever the depth [M, rows, columns], and the `overlap`:
-    windows' width over the distance between them. Returns indices [m], first no motion, if it is
-    one of them.
+    Parameters
+    ----------
+    cost : ndarray, float32 [M, rows, columns]
+        Cost of every motion, independent of depth.
+    motions : Motions
+    overlap : float
+        Side of the patches over the distance between them.
     """
     around = max(round(overlap) // 2 * 2 - 1, 1)
-    capped = np.minimum(of_motion, np.float32(_MAX_OCCURRING_COST))
+    capped = np.minimum(cost, np.float32(_MAX_OCCURRING_COST))
     shape = (around, around)
     together = np.array([cv2.blur(each, shape, borderType=cv2.BORDER_REPLICATE) for each in capped])
     independent = max(overlap / 2, 1) ** 2
@@ -180,11 +190,16 @@ def occurring_motions(of_motion: FloatArray, motions: Motions, overlap: float) -
     return np.array(chosen)
 
 
-def refined_motion(total: NDArray[np.floating], motions: Motions, index: int) -> DoubleArray:
-    """Refine a motion by parabolas along its length and across its direction; returns [2].
+def refine_motion(total: NDArray[np.floating], motions: Motions, index: int) -> DoubleArray:
+    """Motion, px [2], at the minima of parabolas along its length and across its direction.
 
-    By the cost of every motion [M], in `total` of all patches that have this one, which has a
-    length.
+    Parameters
+    ----------
+    total : ndarray [M]
+        Cost of every motion, summed over the patches with this one.
+    motions : Motions
+    index : int
+        Which of the motions; it must have a length.
     """
     right, down = motions.vectors_px.T
     lengths, angles = np.hypot(right, down), np.arctan2(down, right)
@@ -198,7 +213,7 @@ def refined_motion(total: NDArray[np.floating], motions: Motions, index: int) ->
 
 
 def _vertex(offsets: DoubleArray, total: NDArray[np.floating], usable: BoolArray) -> float:
-    """Return where a parabola through 0 and the next offsets on both sides is least."""
+    """Offset of the minimum of a parabola through 0 and the next offsets on both sides."""
     here = float(total[usable & (np.abs(offsets) < 1e-6)].min())
     sides = []
     for sign in (-1, 1):

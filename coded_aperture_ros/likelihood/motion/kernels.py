@@ -1,4 +1,4 @@
-"""Blur by a motion during the exposure, along a straight line at constant speed."""
+"""Motion blur along a straight line at constant speed during the exposure."""
 
 import dataclasses
 import math
@@ -12,16 +12,37 @@ from coded_aperture_ros.core.errors import InputError
 
 
 def motion_kernel(motion_px: tuple[float, float]) -> FloatArray:
-    """Render the trace of a point that moves during the exposure: ``h_m`` of thesis eq. 7.2.
+    """PSF of a point that moves during the exposure: ``h_m`` of thesis eq. 7.2.
 
     A pixel's value is the share of the exposure that the point spends near it, counted by linear
     interpolation between pixels. The weights are polynomials between the places where the point
     passes rows and columns of pixels, and integrated exactly: the kernel is smooth in the motion,
     and its mean and direction are those of the line, however short that is.
 
-    The motion is the way during the exposure in px, to the right and down; the kernel of the
-    opposite way is the same. Returns float32 [k, k] of unit sum, whose odd width is the smallest
-    that holds the trace. Raises `InputError` if the motion is not finite.
+    Parameters
+    ----------
+    motion_px : (float, float)
+        Displacement during the exposure, px, to the right and down; the opposite one has the same
+        kernel.
+
+    Returns
+    -------
+    ndarray, float32 [k, k]
+        Of unit sum; the odd width k is the smallest that holds the trace.
+
+    Raises
+    ------
+    InputError
+        If the motion is not finite.
+
+    References
+    ----------
+    Martinello 2012, eq. 7.2.
+
+    Examples
+    --------
+    >>> motion_kernel((2.0, 0.0)).round(3).tolist()
+    [[0.0, 0.0, 0.0], [0.25, 0.5, 0.25], [0.0, 0.0, 0.0]]
     """
     right, down = (float(part) for part in motion_px)
     if not (math.isfinite(right) and math.isfinite(down)):
@@ -49,10 +70,31 @@ def motion_kernel(motion_px: tuple[float, float]) -> FloatArray:
 def blurred_psf(
     psf: FloatArray, motion_px: tuple[float, float], width_px: int | None = None
 ) -> FloatArray:
-    """Return the PSF of defocus and motion together, ``h_d * h_m`` (thesis eq. 7.2).
+    """PSF of defocus and motion together, ``h_d * h_m`` (thesis eq. 7.2).
 
-    From a PSF [k, k], float32, odd, to one [n, n] of the same sum, of odd width `width_px`: at
-    least that of the full convolution, which is the default. For the motion see `motion_kernel`.
+    Parameters
+    ----------
+    psf : ndarray, float32 [k, k]
+        PSF of defocus; k is odd.
+    motion_px : (float, float)
+        See `motion_kernel`.
+    width_px : int, optional
+        Odd width n of the result, at least that of the full convolution, which is the default.
+
+    Returns
+    -------
+    ndarray, float32 [n, n]
+        Of the same sum.
+
+    References
+    ----------
+    Martinello 2012, eq. 7.2.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> blurred_psf(np.ones((1, 1), np.float32), (0.0, 2.0))[:, 1].tolist()
+    [0.25, 0.5, 0.25]
     """
     full = scipy.signal.convolve2d(psf, motion_kernel(motion_px))
     margin = 0 if width_px is None else (width_px - len(full)) // 2
@@ -61,11 +103,16 @@ def blurred_psf(
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motions:
-    """The motions that are distinguished."""
+    """Motions that are distinguished.
 
-    # [M, 2]; way during the exposure, px: to the right, and down. Blur does not tell which way
-    # along its line a point has gone, so no two of them are opposite. A vector of zeros is no
-    # motion.
+    Examples
+    --------
+    >>> Motions.grid(2, [3.0], static=False).vectors_px.round(6).tolist()
+    [[3.0, 0.0], [0.0, 3.0]]
+    """
+
+    # [M, 2]; displacement during the exposure, px: to the right, and down. Blur does not show the
+    # sign, so no two of them are opposite. A vector of zeros is no motion.
     vectors_px: DoubleArray
 
     def __post_init__(self) -> None:
@@ -79,10 +126,16 @@ class Motions:
 
     @staticmethod
     def grid(directions: int, lengths_px: ArrayLike, static: bool = True) -> "Motions":
-        """Return motions in equally spaced directions, each in all lengths.
+        """Motions in equally spaced directions, each in all lengths.
 
-        So many `directions` lie between 0 degrees, to the right, and 180; lengths are more than 0.
-        With `static` no motion is the first of them.
+        Parameters
+        ----------
+        directions : int
+            Number of directions from 0 degrees, to the right, to 180.
+        lengths_px : array_like of float
+            Lengths, px, > 0.
+        static : bool
+            Whether no motion is the first of them.
         """
         lengths = np.atleast_1d(np.asarray(lengths_px, np.float64))
         if directions < 1 or not (lengths > 0).all() or not lengths.size:
@@ -100,16 +153,13 @@ class Motions:
 
     @property
     def longest_px(self) -> float:
-        """Length of the longest motion."""
+        """Length of the longest motion, px."""
         return float(np.hypot(*self.vectors_px.T).max())
 
     def distances_px(self, to_px: ArrayLike) -> DoubleArray:
-        """Return how far motions are from each of these, px, whichever way each is gone.
-
-        Takes [..., 2], gives [..., M].
-        """
+        """Distance of motions `to_px` [..., 2] from each of these [..., M], px, without sign."""
         right, down = np.moveaxis(np.asarray(to_px, np.float64)[..., None, :], -1, 0)
-        of_right, of_down = self.vectors_px.T
-        squared = (right - of_right) ** 2 + (down - of_down) ** 2
-        opposite = (right + of_right) ** 2 + (down + of_down) ** 2
+        own_right, own_down = self.vectors_px.T
+        squared = (right - own_right) ** 2 + (down - own_down) ** 2
+        opposite = (right + own_right) ** 2 + (down + own_down) ** 2
         return np.asarray(np.sqrt(np.minimum(squared, opposite)))

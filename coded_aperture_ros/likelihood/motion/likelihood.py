@@ -1,4 +1,4 @@
-"""The likelihood of depth and motion together (thesis chapter 7)."""
+"""Likelihood of depth and motion together (thesis chapter 7)."""
 
 import dataclasses
 
@@ -17,22 +17,40 @@ from coded_aperture_ros.optics import Camera, PsfStack
 # A motion is as good as another that is so near, px, or so near relative to its length.
 _AGREEMENT_PX = 1.0
 _AGREEMENT_SHARE = 0.2
-# Motions that are expected to be this much longer than the longest are no such motions.
-_LONGER = 1.1
+# Expected motions longer than the longest of the bank times this are not among the bank's.
+_MAX_LENGTH_RATIO = 1.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MotionModel:
-    """A `LikelihoodModel` with motions as further hypotheses; see `separate`.
+    """Model of a mask with motions as further hypotheses; a `LikelihoodModel`.
 
-    The bank says which motions there are, the configuration how they are chosen.
+    Attributes
+    ----------
+    bank : MotionBank
+        Filters of all pairs of motion and level.
+    config : MotionConfig
+        How motions are chosen.
+
+    References
+    ----------
+    Martinello 2012, chapter 7.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.likelihood.motion import Motions, learn_motion_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0]))
+    >>> MotionModel(learn_motion_bank(bank, Motions.grid(2, [4.0]), rank=16)).learned_from
+    'PSFs, natural-image prior, 3 motions'
     """
 
     bank: MotionBank
     config: MotionConfig = dataclasses.field(default_factory=MotionConfig)
 
     def for_view(self, camera: Camera | None) -> "MotionModel":
-        """Model itself: its PSFs are the same all over the image."""
+        """Model itself: its PSFs do not change over the image."""
         return self
 
     @property
@@ -42,22 +60,22 @@ class MotionModel:
 
     @property
     def window_px(self) -> int:
-        """Side of the patches."""
+        """Side of the patches, px."""
         return self.bank.defocus.window_px
 
     @property
     def stride_px(self) -> int:
-        """Distance between patches."""
+        """Default distance between patches, px."""
         return self.bank.defocus.stride_px
 
     @property
     def fattening(self) -> float:
-        """See `LikelihoodModel`."""
+        """Excess width of foregrounds; see `LikelihoodModel`."""
         return self.bank.defocus.fattening
 
     @property
     def noise(self) -> float:
-        """See `LikelihoodModel`."""
+        """Standard deviation of one channel's noise; 0: estimated in each frame."""
         return self.bank.defocus.noise
 
     @property
@@ -67,31 +85,33 @@ class MotionModel:
 
     @property
     def learned_from(self) -> str:
-        """How the bank came to be."""
+        """Origin of the bank, for a person to read."""
         return self.bank.product.learned_from
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
     ) -> "MotionLikelihood":
-        """Plan for frames of one size; the processor computes, whatever the backend."""
+        """Likelihood for frames of one size; always on the processor."""
         engine = MotionEngine(self.bank, shape, stride_px, threads, self.config.finalists)
         return MotionLikelihood(self, engine, shape[1])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Expectation:
-    """Which motions to try: few, near a field that is expected, or all."""
+    """Motions to search: candidates near an expected field [rows, columns, 2], or all."""
 
     candidates: IndexArray | None = None
     field_px: DoubleArray | None = None
-    searched: str = ""
+    search_reason: str = ""
 
 
 class MotionLikelihood:
-    """Cost volumes of frames of one size, whatever the motion, and the motion; see `Likelihood`."""
+    """Cost volumes and motion of frames of one size; a `Likelihood`."""
 
     def __init__(self, model: MotionModel, engine: MotionEngine, image_width: int) -> None:
-        self._engine, self._config, self.grid = engine, model.config, engine.grid
+        self._engine = engine
+        self._config = model.config
+        self.grid = engine.grid
         self._motions = model.bank.motions
         self._window_correlation = model.bank.defocus.window_correlation
         self._image_width = image_width
@@ -105,9 +125,9 @@ class MotionLikelihood:
         usable: BoolArray | None = None,
         prior: ExpectedMotion | None = None,
     ) -> Cost:
-        """Return the cost volume of a frame and its motion; see `Likelihood.cost`.
+        """Cost of every level, and motion, for every patch; see `Likelihood.cost`.
 
-        With a `prior` only motions near it are tried; where it is not known, all are.
+        With a `prior` only motions near it are searched, else all.
         """
         timer = LapTimer()
         if usable is None:
@@ -116,17 +136,17 @@ class MotionLikelihood:
         timer.lap("spectra")
         expected = self._expectation(prior)
         if expected.candidates is not None:
-            energies = self._engine.of_some(noise, expected.candidates)
+            energies = self._engine.energies_for(noise, expected.candidates)
             pairs = self._relative(energies, usable)
             timer.lap("energies")
             separated = separate_expected(pairs, expected.candidates, self._motions)
         else:
-            pairs = self._of_all_motions(noise, usable)
+            pairs = self._all_pairs(noise, usable)
             timer.lap("energies")
             overlap = self.grid.window_px / self.grid.stride_px
             separated = separate(pairs, self._motions, self._config, overlap)
             if self._config.refinement_px:
-                separated = self._refined(separated, noise, usable)
+                separated = self._refine(separated, noise, usable)
         motion = self._field(separated, expected, usable)
         timer.lap("motion")
         return Cost(separated.level_cost, motion=motion, seconds=timer.seconds)
@@ -135,55 +155,59 @@ class MotionLikelihood:
         """End the engine's threads."""
         self._engine.close()
 
-    def _of_all_motions(self, noise: PerPatch, usable: BoolArray) -> FloatArray:
-        """Return the cost of every pair of motion and level [M, L, rows, columns]."""
-        pairs = self._relative(self._engine.of_all(noise), usable)
+    def _all_pairs(self, noise: PerPatch, usable: BoolArray) -> FloatArray:
+        """Cost of every pair of motion and level [M, L, rows, columns]."""
+        pairs = self._relative(self._engine.all_energies(noise), usable)
         static = np.flatnonzero(np.hypot(*self._motions.vectors_px.T) == 0)
         if static.size:
-            alone = self._relative(self._engine.of_static(noise)[None], usable)[0]
-            pairs[static] = alone + pairs[static].min(axis=1, keepdims=True)
+            static_cost = self._relative(self._engine.static_energies(noise)[None], usable)[0]
+            pairs[static] = static_cost + pairs[static].min(axis=1, keepdims=True)
         return pairs
 
     def _relative(self, energies: FloatArray, usable: BoolArray) -> FloatArray:
-        """Return the cost of pairs of motion and level, of the shape of their energies."""
+        """Cost of pairs of motion and level, of the shape of their energies."""
         pairs = energies.reshape(-1, *energies.shape[2:])
         cost = relative_cost(np.moveaxis(pairs, 0, -1), self._window_correlation, usable)
         return np.moveaxis(cost, -1, 0).reshape(energies.shape)
 
     def _expectation(self, prior: ExpectedMotion | None) -> _Expectation:
+        """Motions to search for what is known of the motion."""
         if prior is None:
-            return _Expectation(searched="nothing expected")
+            return _Expectation(search_reason="nothing expected")
         if prior.angle_rad is None:
-            return _Expectation(searched=prior.reason)
+            return _Expectation(search_reason=prior.reason)
         grid, motions = self.grid, self._motions
         field = prior.motion_px(grid.row_centres, grid.column_centres, self._image_width)
         longest = float(np.hypot(*np.moveaxis(field, -1, 0)).max())
-        if longest > _LONGER * motions.longest_px:
+        if longest > _MAX_LENGTH_RATIO * motions.longest_px:
             return _Expectation(
-                searched=f"expected motion of {longest:.3g} px is longer than "
+                search_reason=f"expected motion of {longest:.3g} px is longer than "
                 f"{motions.longest_px:.3g} px"
             )
-        # As the middle of all that are nearest to the same one, so that there are few sets.
+        # The candidates are those around the nearest one, so that there are few different sets.
         nearest = motions.distances_px(field).argmin(axis=-1)
         count = min(self._config.prior_motions, len(motions))
         return _Expectation(np.asarray(self._nearest_motions[:, :count][nearest]), field)
 
-    def _refined(self, separated: Separated, noise: PerPatch, usable: BoolArray) -> Separated:
-        """Search for what exactly the motions are that occur."""
+    def _refine(self, separated: Separated, noise: PerPatch, usable: BoolArray) -> Separated:
+        """Refine the vectors of the motions that occur."""
         vectors = separated.vectors_px.copy()
         for index in np.unique(separated.motion):
             here = (separated.motion == index) & usable
             if vectors[index].any() and here.any():
                 tolerance_px = self._config.refinement_px
-                vectors[index] = self._engine.refined(noise, here, vectors[index], tolerance_px)
+                vectors[index] = self._engine.refine_motion(
+                    noise, here, vectors[index], tolerance_px
+                )
         return dataclasses.replace(separated, vectors_px=vectors)
 
     def _field(
         self, separated: Separated, expected: _Expectation, usable: BoolArray
     ) -> MotionField:
+        """Motion of every patch, NaN where it is not usable."""
         vectors = separated.vectors_px[separated.motion]
         if expected.field_px is not None:
-            # Blur does not tell which way round: it is the way that is expected.
+            # Blur does not show the sign: it is that of the expected motion.
             against = np.sum(vectors * expected.field_px, axis=-1, keepdims=True) < 0
             vectors = np.where(against, -vectors, vectors)
         length = np.hypot(*self._motions.vectors_px.T)
@@ -191,4 +215,4 @@ class MotionLikelihood:
         agree = near[separated.motion[None], separated.candidates]
         confidence = np.asarray((separated.probability * agree).sum(axis=0), np.float32)
         vectors[~usable], confidence[~usable] = np.nan, 0
-        return MotionField(vectors.astype(np.float32), confidence, expected.searched)
+        return MotionField(vectors.astype(np.float32), confidence, expected.search_reason)

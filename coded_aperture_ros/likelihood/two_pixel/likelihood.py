@@ -12,7 +12,7 @@ from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import EngineLikelihood, plausible_ratios, take_logarithm
 from coded_aperture_ros.likelihood.bank import DEFAULT_STRIDE_PX
-from coded_aperture_ros.likelihood.scoring import OWN_NOISE
+from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE
 from coded_aperture_ros.likelihood.two_pixel.holes import Holes, NeighbourLine
 from coded_aperture_ros.optics import Camera, PsfStack
 
@@ -129,7 +129,7 @@ class TwoPixelEngine:
         self._covariances[-1] = 1  # for the constant of the hypotheses
         self._shares = [self._inverse_counts(lag) for lag in model.lags]
         gains = np.exp(model.log_determinants)[..., None]
-        own = np.full_like(gains, OWN_NOISE)
+        own = np.full_like(gains, MIN_NOISE_SHARE)
         self._hypotheses = np.concatenate([model.weights, own], axis=-1) * gains
         self._energies = np.empty((len(model.stack), patches), np.float32)
         tried = len(model.contrasts) * model.weights.shape[1] * len(model.stack)
@@ -216,7 +216,7 @@ class TwoPixelEngine:
         np.matmul(hypotheses, measured, out=excess)
         energies = self._energies[:, some]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
-        textureless = self._model.noise_weights @ measured[:-1] + OWN_NOISE
+        textureless = self._model.noise_weights @ measured[:-1] + MIN_NOISE_SHARE
         take_logarithm(energies, textureless, self._model.window_px**2)
 
     def _inverse_counts(self, lag: IndexArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.likelihood.bank import NaturalImagePrior, power_spectrum
 from coded_aperture_ros.likelihood.bank.for_camera import psf_stack_for_camera
 from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS
-from coded_aperture_ros.likelihood.bank.model import check_levels
+from coded_aperture_ros.likelihood.bank.model import check_level_count
 from coded_aperture_ros.likelihood.two_pixel.holes import NeighbourLine, find_holes, neighbour_lines
 from coded_aperture_ros.likelihood.two_pixel.likelihood import BLOCK_PX, TwoPixelModel
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
@@ -107,7 +107,7 @@ def two_pixel_model_for_camera(
     of equal openings, the focus lies inside the range, the range ends at infinity, or a blur size
     does not fit the window.
     """
-    check_levels(levels)
+    check_level_count(levels)
     find_holes(camera.mask)  # what is wrong with the mask comes first: no range helps it
     stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the two-pixel method")
     return two_pixel_model(stack, camera.mask, config)
@@ -214,7 +214,7 @@ def _check(stack: PsfStack, config: TwoPixelConfig) -> None:
             f"window_px: expected a multiple of {BLOCK_PX} px, got {config.window_px}: use "
             f"{below} or {below + BLOCK_PX}"
         )
-    check_levels(len(stack))
+    check_level_count(len(stack))
     sizes = stack.blur_sizes_px
     if not stack.in_pixels:
         raise InputError(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.patches import PatchGrid
 from coded_aperture_ros.likelihood import Cost, relative_cost
-from coded_aperture_ros.likelihood.bank.model import check_levels
+from coded_aperture_ros.likelihood.bank.model import check_level_count
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics import Camera, Mask, PsfStack
 
@@ -253,7 +253,7 @@ def learn_subspace_bank(
 def _check(stack: PsfStack, patch_px: int, rank: int, basis: str | None) -> None:
     """Refuse what no bank can be learned with."""
     size = patch_px**2
-    check_levels(len(stack))
+    check_level_count(len(stack))
     if not 9 <= patch_px <= 65 or patch_px % 2 == 0:
         raise InputError(f"patch_px: expected an odd number from 9 to 65, got {patch_px}")
     if stack.psfs.shape[-1] > patch_px:

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.cells import Cells
 from coded_aperture_ros.depth.decoders.semi_global import semi_global_cost
-from coded_aperture_ros.frames import PatchGrid, brightness_at
+from coded_aperture_ros.frames import PatchGrid, window_brightness
 from coded_aperture_ros.likelihood import Cost
 
 # The refinement's own grid of blur sizes, on one side of the focal plane.
@@ -120,7 +120,7 @@ def cost_features(
 
     def add_scale(index: int, _: int) -> None:
         scale, count = scales[index], len(sizes_px)
-        added_up = semi_global_cost(scale.volume, 1.0, brightness_at(context.grey, scale.grid))
+        added_up = semi_global_cost(scale.volume, 1.0, window_brightness(context.grey, scale.grid))
         found = np.empty((KINDS, count, scale.misfit.size), np.float32)
         levels = np.moveaxis(scale.volume, -1, 0).reshape(count, -1)
         np.minimum(levels, np.float32(_MOST_COST), out=found[0])

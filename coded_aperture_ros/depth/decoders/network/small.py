@@ -10,7 +10,7 @@ from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
-from coded_aperture_ros.likelihood.bank import FilterBank, relearned
+from coded_aperture_ros.likelihood.bank import FilterBank, relearn_bank
 
 # Side of the small patches: most blur still fits in.
 SMALL_PX = 32
@@ -24,7 +24,7 @@ def small_bank(bank: FilterBank) -> FilterBank:
     It is learned once for a bank.
     """
     if bank not in _LEARNED:
-        _LEARNED[bank] = relearned(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
+        _LEARNED[bank] = relearn_bank(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
     return _LEARNED[bank]
 
 
