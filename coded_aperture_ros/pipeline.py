@@ -336,7 +336,7 @@ class FramePipeline:
         return make_deblurrer(model, config, self._progress)
 
     def _noise(self, frame: Frame) -> float:
-        """Standard deviation of one channel's noise; see `KnownNoise.from_sources` for what goes first.
+        """Standard deviation of one channel's noise, by the rule of `KnownNoise.from_sources`.
 
         Not what depth has estimated, which is of the mean of the channels: so the picture is the
         same as where depth comes from elsewhere.

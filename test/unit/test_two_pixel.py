@@ -101,7 +101,7 @@ def test_parallel_pairs_share_a_line_and_others_do_not():
 
 def test_every_pair_of_a_slanted_line_has_its_own_lag():
     line = neighbour_lines(find_holes(Mask.named("three_hole")), 30.0)[1]
-    lags = line.lags[line.lag_of_pair]
+    lags = line.lags[line.pair_lags]
     between = line.positions[:, None] - line.positions[None, :]
     np.testing.assert_array_equal(np.abs(lags), np.abs(between))
     assert len(line.lags) < 2 * len(line.positions)

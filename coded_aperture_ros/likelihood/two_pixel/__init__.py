@@ -1,4 +1,4 @@
-"""Depth for masks of a few equal holes: a pixel and its neighbours at the holes' offsets."""
+"""Two-pixel method: a pixel and its neighbours at the offsets of a mask's equal holes."""
 
 from coded_aperture_ros.likelihood.two_pixel.holes import find_holes, neighbour_lines
 from coded_aperture_ros.likelihood.two_pixel.likelihood import TwoPixelModel

@@ -1,4 +1,4 @@
-"""The Gaussian model of a pixel and its neighbours, and the cost of every level by it."""
+"""Energies of every level by the Gaussian model of a pixel and its neighbours."""
 
 import dataclasses
 import math
@@ -16,14 +16,14 @@ from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE
 from coded_aperture_ros.likelihood.two_pixel.holes import Holes, NeighbourLine
 from coded_aperture_ros.optics import Camera, PsfStack
 
-# Patches whose hypotheses are tried at a time: large products, but no more than a cache holds.
+# Patches whose hypotheses are compared at a time: large products, but no more than a cache holds.
 _PATCHES = 128
-# At least as wide as any kernel.
-_WIDEST_KERNEL = 16
+# No kernel is wider, px.
+_MAX_KERNEL_PX = 16
 # Statistics are sums over blocks of pixels of this side, or of its common divisor with the stride.
 BLOCK_PX = 8
-# The pixels of a window repeat each other, and so do the lines through them: by how much the
-# likelihood overstates what they tell. Chosen so that confidence is right on planes.
+# Numbers of a window in one independent measurement: its pixels are correlated, and so are the
+# lines through them. Chosen so that confidence is right on planes.
 _WINDOW_CORRELATION = 4.0
 # A square window counts its border as much as its middle, and widens foregrounds by this much more
 # than a Hann window. On two planes (blur 10 and 14 or 22 px, noise 0.001) the error within 16 px of
@@ -33,7 +33,7 @@ _FATTENING = 1.8
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class TwoPixelModel:
-    """What depth estimation needs to know of a mask of equal openings; a `LikelihoodModel`.
+    """Gaussian model of a mask of equal openings; a `LikelihoodModel`.
 
     A pixel ``p`` of a high-pass channel and its neighbours on a line are a Gaussian vector ``v`` of
     n numbers (thesis eq. 5.9 to 5.11). Its covariance at level ``d`` is ``a S_d + s^2 N``: ``S_d``
@@ -48,52 +48,66 @@ class TwoPixelModel:
     window shows at the lags. By the chain rule this is eq. 5.14 with the conditional mean and
     variance of eq. 5.15 and 5.16, one pixel of the line after the other. As in `FilterBank`, only
     ``a / s^2`` enters the weights, and the best noise of a hypothesis is found in closed form.
+
+    References
+    ----------
+    Martinello 2012, chapter 5.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.likelihood.two_pixel import two_pixel_model
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> mask = Mask.named("two_hole")
+    >>> model = two_pixel_model(render_psf_stack(mask, [5.0, 7.0]), mask)
+    >>> grey = np.random.default_rng(0).random((64, 64), np.float32)
+    >>> model.plan((64, 64), stride_px=8).cost(grey, noise=0.01).volume.shape
+    (3, 3, 2)
     """
 
     stack: PsfStack  # the L levels
     holes: Holes
     lines: tuple[NeighbourLine, ...]
-    window_px: int  # side of the window of the statistics
+    window_px: int  # side of the window of the statistics, px
     derivatives: int  # number P of channels
-    # [F, 2]; the lags of all lines, one after the other; measured for every channel.
+    # [F, 2]; lags of all lines, one after the other; measured for every channel.
     lags: IndexArray
-    # Each [k, k]; that of every channel, for every line: smoothed across the line.
+    # Each [k, k]; of every channel, for every line: smoothed across the line.
     kernels: tuple[tuple[FloatArray, ...], ...]
-    contrasts: tuple[float, ...]  # the variances of texture that are tried under any noise
+    contrasts: tuple[float, ...]  # variances of texture, the same under any noise
     ratios: DoubleArray  # [S]; grid of ``a / s^2``, in half decades
-    # [S, slopes, L, P * F]; what multiplies the measured covariances over ``s^2``, for the mean of
+    # [S, slopes, L, P * F]; weights of the measured covariances over ``s^2`` in the mean of
     # ``v^T V^-1 v``.
     weights: FloatArray
     # [S, slopes, L]; of ``a / s^2 S_d N^-1 + 1``, per number of the vectors.
     log_determinants: FloatArray
     noise_weights: FloatArray  # [P * F]; as `weights`, without texture
     mask_digest: str  # digest of the mask's pattern
-    learned_from: str  # what the model is of, for a person to read
-    noise: float = 0.0  # 0: the noise of a frame is estimated, unless it is given
-    stride_px: int = DEFAULT_STRIDE_PX  # distance between the windows, unless another is asked for
+    learned_from: str  # origin of the model, for a person to read
+    noise: float = 0.0  # standard deviation, linear light; 0: estimated in each frame
+    stride_px: int = DEFAULT_STRIDE_PX  # default distance between the windows, px
 
     @property
     def fattening(self) -> float:
-        """See `LikelihoodModel`."""
+        """Excess width of foregrounds; see `LikelihoodModel`."""
         return _FATTENING
 
     def for_view(self, camera: Camera | None) -> "TwoPixelModel":
-        """Model itself: its PSFs are the same all over the image."""
+        """Model itself: its PSFs do not change over the image."""
         return self
 
     def plan(
         self, shape: tuple[int, ...], stride_px: int, backend: str = "numpy", threads: int = 1
     ) -> EngineLikelihood:
-        """Plan for frames of one size; the processor computes, whatever the backend."""
+        """Likelihood for frames of one size; always on the processor."""
         engine = TwoPixelEngine(self, shape, stride_px, threads)
         return EngineLikelihood(engine, _WINDOW_CORRELATION)
 
 
 class TwoPixelEngine:
-    """Computes the energies of every window of frames of one size; see `Engine`.
+    """Energies of every window of frames of one size; an `Engine`.
 
-    The covariance of a channel at a lag is the mean, over a window, of the products of pixels that
-    are so far apart; a product lies halfway between its two pixels. Products are added up in
+    The covariance of a channel at a lag is the mean, over a window, of the products of pixels at
+    that distance; a product lies halfway between its two pixels. Products are added up in
     blocks first, once for all windows, and a window's blocks by running sums: the time depends on
     the size of the frame and the number of lags, not on that of the window.
     """
@@ -114,11 +128,11 @@ class TwoPixelEngine:
             for count in (grid.rows, grid.columns)
         )
         # Beyond the frame there is nothing: products with that are zero, and do not count.
-        self._margin = int(np.abs(model.lags).max()) // 2 + _WIDEST_KERNEL
+        self._margin = int(np.abs(model.lags).max()) // 2 + _MAX_KERNEL_PX
         rows, columns = (count * block for count in self._blocks)
-        # What a kernel sees only in part, at the frame's border, does not count.
+        # Pixels at the frame's border, which a kernel covers in part, do not count.
         self._reach = max(len(kernel) // 2 for kernels in model.kernels for kernel in kernels)
-        self._seen = rows - 2 * self._reach, columns - 2 * self._reach
+        self._valid = rows - 2 * self._reach, columns - 2 * self._reach
         padded = rows + 2 * self._margin, columns + 2 * self._margin
         lines = len(model.lines)
         self._channels = np.zeros((model.derivatives, lines, *padded), np.float32)
@@ -129,56 +143,56 @@ class TwoPixelEngine:
         self._covariances[-1] = 1  # for the constant of the hypotheses
         self._shares = [self._inverse_counts(lag) for lag in model.lags]
         gains = np.exp(model.log_determinants)[..., None]
-        own = np.full_like(gains, MIN_NOISE_SHARE)
-        self._hypotheses = np.concatenate([model.weights, own], axis=-1) * gains
+        least_noise = np.full_like(gains, MIN_NOISE_SHARE)
+        self._hypotheses = np.concatenate([model.weights, least_noise], axis=-1) * gains
         self._energies = np.empty((len(model.stack), patches), np.float32)
-        tried = len(model.contrasts) * model.weights.shape[1] * len(model.stack)
-        # What each thread needs for its part of a frame.
+        compared = len(model.contrasts) * model.weights.shape[1] * len(model.stack)
+        # Buffers of each thread.
         self._columns = np.empty((threads, self._blocks[0], columns), np.float32)
-        self._excess = np.empty((threads, tried * _PATCHES), np.float32)
+        self._excess = np.empty((threads, compared * _PATCHES), np.float32)
 
     def project(self, grey: FloatArray) -> None:
-        """Take a frame: measure its local covariances."""
-        grid, margin, (rows, columns) = self.grid, self._margin, self._seen
+        """Take a frame [rows, columns]: measure its local covariances."""
+        grid, margin, (rows, columns) = self.grid, self._margin, self._valid
         covered = grey[grid.top :, grid.left :]
         covered = covered[: rows + 2 * self._reach, : columns + 2 * self._reach]
 
         def filter_frame(number: int, thread: int) -> None:
             channel, line = divmod(number, len(self._model.lines))
             passed = cv2.filter2D(covered, -1, self._model.kernels[channel][line])
-            seen = passed[self._reach : self._reach + rows, self._reach : self._reach + columns]
+            valid = passed[self._reach : self._reach + rows, self._reach : self._reach + columns]
             padded = self._channels[channel, line]
-            padded[margin : margin + rows, margin : margin + columns] = seen
+            padded[margin : margin + rows, margin : margin + columns] = valid
 
         self._workers.each(filter_frame, range(self._channels.shape[0] * self._channels.shape[1]))
         # One product of the frame with itself for each lag and channel; the last row is constant.
         self._workers.each(self._measure, range(len(self._covariances) - 1))
 
     def energies(self, noise: PerPatch) -> FloatArray:
-        """Return the energies of the frame taken last [rows, columns, L]."""
+        """Energies of the last projected frame [rows, columns, L]."""
         grid = self.grid
         model = self._model
-        tried = plausible_ratios(model.ratios, model.contrasts, float(np.median(noise)))
-        hypotheses = self._hypotheses[tried].reshape(-1, self._hypotheses.shape[-1])
+        compared = plausible_ratios(model.ratios, model.contrasts, float(np.median(noise)))
+        hypotheses = self._hypotheses[compared].reshape(-1, self._hypotheses.shape[-1])
         precision = np.empty((grid.rows, grid.columns), np.float32)
         precision[:] = 1 / np.square(noise)
         starts = range(0, precision.size, _PATCHES)
-        self._workers.each(partial(self._try_hypotheses, hypotheses, precision.ravel()), starts)
+        self._workers.each(partial(self._compare, hypotheses, precision.ravel()), starts)
         return np.moveaxis(self._energies.reshape(-1, grid.rows, grid.columns), 0, -1)
 
     def close(self) -> None:
-        """End the engine's threads."""
+        """Stop the engine's threads."""
         self._workers.close()
 
     def _measure(self, number: int, thread: int) -> None:
-        """Measure the covariances of one channel at one lag."""
-        channel, place = divmod(number, len(self._model.lags))
-        padded, lag = self._channels[channel, self._line_of_lag[place]], self._model.lags[place]
+        """Measure the covariances of one channel at one lag, in all windows."""
+        channel, index = divmod(number, len(self._model.lags))
+        padded, lag = self._channels[channel, self._line_of_lag[index]], self._model.lags[index]
         blocks, block = self._blocks, self._block
         rows, columns = (count * block for count in blocks)
         # The first row and column that count lie `reach` into the first block.
         corner = self._margin - self._reach
-        top, left = corner - _before(lag[0]), corner - _before(lag[1])
+        top, left = corner - _half_shift(lag[0]), corner - _half_shift(lag[1])
         ends = top + lag[0], left + lag[1]
         first = padded[top : top + rows, left : left + columns]
         second = padded[ends[0] : ends[0] + rows, ends[1] : ends[1] + columns]
@@ -199,28 +213,28 @@ class TwoPixelEngine:
         windows = windows[
             : (grid.rows - 1) * step + 1 : step, : (grid.columns - 1) * step + 1 : step
         ]
-        down, across = self._shares[place]
+        down, across = self._shares[index]
         out = self._covariances[number].reshape(grid.rows, grid.columns)
         np.multiply(windows, down, out=out)
         out *= across
 
-    def _try_hypotheses(
+    def _compare(
         self, hypotheses: FloatArray, precision: FloatArray, start: int, thread: int
     ) -> None:
-        """Find the energies of some windows; see `TwoPixelModel` for what they are."""
-        some = slice(start, min(start + _PATCHES, len(precision)))
-        measured = self._covariances[:, some].copy()
-        measured[:-1] *= precision[some]
+        """Compute the energies of a group of windows; see `TwoPixelModel`."""
+        group = slice(start, min(start + _PATCHES, len(precision)))
+        measured = self._covariances[:, group].copy()
+        measured[:-1] *= precision[group]
         count = measured.shape[1]
         excess = self._excess[thread, : len(hypotheses) * count].reshape(len(hypotheses), count)
         np.matmul(hypotheses, measured, out=excess)
-        energies = self._energies[:, some]
+        energies = self._energies[:, group]
         np.minimum.reduce(excess.reshape(-1, len(energies), count), axis=0, out=energies)
         textureless = self._model.noise_weights @ measured[:-1] + MIN_NOISE_SHARE
         take_logarithm(energies, textureless, self._model.window_px**2)
 
     def _inverse_counts(self, lag: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Return what turns the sums of windows into means: a factor by row and one by column."""
+        """Factors by row and by column that turn the sums of windows into means."""
         grid = self.grid
         down, across = (
             self._counts(int(shift), axis, count)
@@ -231,15 +245,15 @@ class TwoPixelEngine:
         return (1 / down)[:, None].astype(np.float32), (scale / across).astype(np.float32)
 
     def _counts(self, shift: int, axis: int, windows: int) -> DoubleArray:
-        """Count the products of each window along an axis, for a shift between their pixels."""
-        length, seen = self._blocks[axis] * self._block, self._seen[axis]
-        first = np.arange(length) - _before(shift) - self._reach
-        inside = (first >= 0) & (first < seen) & (first + shift >= 0) & (first + shift < seen)
+        """Number of products of each window along an axis, for a shift between their pixels, px."""
+        length, valid = self._blocks[axis] * self._block, self._valid[axis]
+        first = np.arange(length) - _half_shift(shift) - self._reach
+        inside = (first >= 0) & (first < valid) & (first + shift >= 0) & (first + shift < valid)
         total = np.concatenate([[0], np.cumsum(inside)])
         starts = np.arange(windows) * self.grid.stride_px
         return np.maximum(total[starts + self._model.window_px] - total[starts], 1).astype(float)
 
 
-def _before(shift: int) -> int:
-    """Return how far before the middle of two pixels the first one lies."""
+def _half_shift(shift: int) -> int:
+    """Whole pixels from the first of two pixels to the middle between them."""
     return int(shift) // 2 if shift >= 0 else -(int(-shift) // 2)

@@ -1,4 +1,4 @@
-"""The Gaussian model of a pixel and its neighbours, for every blur level."""
+"""Gaussian model of a pixel and its neighbours, for every blur level (thesis chapter 5)."""
 
 import dataclasses
 
@@ -25,27 +25,33 @@ _DIFFERENCES = (
     np.array([[-1.0, 0.0], [0.0, 1.0]]),
     np.array([[0.0, -1.0], [1.0, 0.0]]),
 )
-# Directions (row, column) that are nearer to an axis than this have the other axis across them.
-_NEARLY_AXIS = np.tan(np.pi / 8)
-# White texture, as thesis eq. 5.4 has it, and photographs' fall-offs of power with frequency.
+# Directions nearer to an axis than this (tangent) are smoothed along the other axis.
+_MAX_AXIS_TANGENT = np.tan(np.pi / 8)
+# Exponents of the power law of texture: white, as in thesis eq. 5.4, and those of photographs.
 _SLOPES = (0.0, 1.6, 2.4, 3.2)
-_SMALLEST_PERIOD = 256
-# What the model leaves unexplained, shading and slants and the covariance of lines with each other,
-# acts like this share of the texture's contrast (standard deviation) in white noise. Planes of
-# natural texture, noise 0.0001, windows of 64 px, channels not smoothed: 0 gives 1.7 to 2.1 levels,
-# 0.006 gives 0.8 to 1.3.
+# Smallest period of the texture of the model, px.
+_MIN_PERIOD_PX = 256
+# Error of the model (shading, slants, covariance of lines with each other) as white noise, relative
+# to the texture's contrast (standard deviation). Planes of natural texture, noise 0.0001, windows of
+# 64 px, channels not smoothed: 0 gives 1.7 to 2.1 levels, 0.006 gives 0.8 to 1.3.
 _MODEL_ERROR = 6e-3
 # Share of the noise's own variance that keeps its covariance invertible.
 _JITTER = 1e-6
-# How often neighbours across a line are averaged. Planes of natural texture, noise 0.001, window
-# 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for four_hole; 4 times is
-# no better.
+# Number of times that neighbours across a line are averaged. Planes of natural texture, noise 0.001,
+# window 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for four_hole; 4
+# times is no better.
 _SMOOTHING = 2
 
 
 @dataclasses.dataclass(frozen=True)
 class TwoPixelConfig:
-    """Which neighbours and derivatives are compared, and over which window."""
+    """Window and derivatives of the two-pixel method.
+
+    Examples
+    --------
+    >>> TwoPixelConfig(window_px=64).derivatives
+    2
+    """
 
     window_px: int = option(
         48,
@@ -68,13 +74,23 @@ class TwoPixelConfig:
 def channel_kernel(
     channel: int, direction: NDArray[np.floating] | None = None, smoothing: int = 0
 ) -> FloatArray:
-    """Return the kernel [k, k], odd k, of a derivative that is smoothed across a direction.
+    """Kernel of a derivative that is smoothed across a direction, float32 [k, k], odd k.
 
-    Smoothing across a line leaves what is on it as it is, but for the noise: the texture that the
-    blur has left changes slowly from line to line. To be correlated, as by ``cv2.filter2D``.
+    Blurred texture changes slowly from line to line, so smoothing across a line mostly lowers the
+    noise. The kernel is for correlation, as by ``cv2.filter2D``.
 
-    `channel` is 0 to 3: the difference to the right, downward, or along a diagonal. The direction
-    [2] is (row, column). Neighbours across it are averaged `smoothing` times, an even number.
+    Parameters
+    ----------
+    channel : int
+        0 to 3: difference to the right, downward, or along a diagonal.
+    direction : ndarray [2], optional
+        Row and column.
+    smoothing : int
+        How often neighbours across the direction are averaged, an even number.
+
+    References
+    ----------
+    Martinello 2012, eq. 5.2.
     """
     kernel = _DIFFERENCES[channel]
     if direction is not None and smoothing:
@@ -82,9 +98,9 @@ def channel_kernel(
         for _ in range(smoothing):
             weights = np.convolve(weights, [0.5, 0.5])
         down, right = (float(part) for part in direction)
-        if abs(down) <= _NEARLY_AXIS * abs(right):
+        if abs(down) <= _MAX_AXIS_TANGENT * abs(right):
             across = weights[:, None]
-        elif abs(right) <= _NEARLY_AXIS * abs(down):
+        elif abs(right) <= _MAX_AXIS_TANGENT * abs(down):
             across = weights[None, :]
         else:
             across = np.diag(weights)
@@ -101,14 +117,37 @@ def channel_kernel(
 def two_pixel_model_for_camera(
     camera: Camera, near_m: float, far_m: float, levels: int, config: TwoPixelConfig | None = None
 ) -> TwoPixelModel:
-    """Make the model of a camera's mask for a range of depths on its side of the focal plane.
+    """Two-pixel model of a camera's mask for a depth range.
 
-    The levels, at least 2, are equally spaced in blur size. Raises `InputError` if the mask is not
-    of equal openings, the focus lies inside the range, the range ends at infinity, or a blur size
-    does not fit the window.
+    Parameters
+    ----------
+    camera : Camera
+        With a mask of two to eight equal openings.
+    near_m, far_m : float
+        Depth range on the camera's side of the focal plane, m.
+    levels : int
+        Number of levels, equally spaced in blur size; at least 2.
+    config : TwoPixelConfig, optional
+
+    Raises
+    ------
+    InputError
+        If the mask does not have equal openings, the focus lies inside the range, the range ends at
+        infinity, or a blur size does not fit the window.
+
+    References
+    ----------
+    Martinello 2012, chapter 5.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Camera, Mask
+    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("two_hole"), 46.0)
+    >>> len(two_pixel_model_for_camera(camera, 1.2, 2.4, 5).stack)
+    5
     """
     check_level_count(levels)
-    find_holes(camera.mask)  # what is wrong with the mask comes first: no range helps it
+    find_holes(camera.mask)  # its errors come before those of the range, which no mask depends on
     stack = psf_stack_for_camera(camera, near_m, far_m, levels, "the two-pixel method")
     return two_pixel_model(stack, camera.mask, config)
 
@@ -116,19 +155,39 @@ def two_pixel_model_for_camera(
 def two_pixel_model(
     stack: PsfStack, mask: Mask, config: TwoPixelConfig | None = None
 ) -> TwoPixelModel:
-    """Make the model of the blur levels.
+    """Two-pixel model of the blur levels of a mask.
 
-    The stack has the PSFs of the mask, of at least two levels in order of size, all of one sign;
-    the mask has two or more equal openings. Raises `InputError` if the mask has one opening or
-    unequal ones, the levels are not in order or lie on both sides of the focal plane, or a PSF is
-    larger than the window.
+    Parameters
+    ----------
+    stack : PsfStack
+        PSFs of the mask, of at least two levels in order of size, all of one sign.
+    mask : Mask
+        With two to eight equal openings.
+    config : TwoPixelConfig, optional
+
+    Raises
+    ------
+    InputError
+        If the mask has one opening or unequal ones, the levels are not in order or lie on both
+        sides of the focal plane, or a PSF is larger than the window.
+
+    References
+    ----------
+    Martinello 2012, eq. 5.9 to 5.16.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> mask = Mask.named("two_hole")
+    >>> two_pixel_model(render_psf_stack(mask, [5.0, 7.0]), mask).lags.shape
+    (8, 2)
     """
     config = config or TwoPixelConfig()
     holes = find_holes(mask)
-    _check(stack, config)
+    _check_stack(stack, config)
     lines = neighbour_lines(holes, float(np.abs(stack.blur_sizes_px).max()))
     lags = np.concatenate([line.lags for line in lines])
-    period = _SMALLEST_PERIOD
+    period = _MIN_PERIOD_PX
     while period < 4 * max(stack.psfs.shape[-1], config.window_px):
         period *= 2
     torus = (period, period)
@@ -145,23 +204,24 @@ def two_pixel_model(
         for channel in range(config.derivatives)
     )
     ends = np.cumsum([len(line.lags) for line in lines])
-    for channel, of_channel in enumerate(kernels):
-        for line, kernel, end in zip(lines, of_channel, ends, strict=True):
+    for channel, channel_kernels in enumerate(kernels):
+        for line, kernel, end in zip(lines, channel_kernels, ends, strict=True):
             part = slice(end - len(line.lags), end)
             at_lags = (line.lags[:, 0] % period, line.lags[:, 1] % period)
             passed = np.abs(np.fft.rfft2(kernel, torus)) ** 2
-            of_noise = scipy.fft.irfft2(passed, torus)[at_lags]
-            whitener = _whitener(of_noise[line.lag_of_pair])
-            none = whitener.T @ whitener  # the inverse of the noise's covariance
-            noise_weights[channel, part] = _sums_of_lags(none, line) / numbers
+            noise_covariances = scipy.fft.irfft2(passed, torus)[at_lags]
+            whitener = _whitener(noise_covariances[line.pair_lags])
+            noise_precision = whitener.T @ whitener
+            noise_weights[channel, part] = _sum_by_lag(noise_precision, line) / numbers
             for slope, texture in enumerate(textures):
                 for level, transfer in enumerate(transfers):
-                    of_texture = scipy.fft.irfft2(texture * transfer * passed, torus)[at_lags]
-                    precisions, logs = _precisions(whitener, of_texture[line.lag_of_pair])
+                    spectrum = texture * transfer * passed
+                    covariances = scipy.fft.irfft2(spectrum, torus)[at_lags]
+                    precisions, logs = _precisions(whitener, covariances[line.pair_lags])
                     determinants[:, slope, level] += logs / numbers
                     for ratio, precision in enumerate(precisions):
                         weights[ratio, slope, level, channel, part] = (
-                            _sums_of_lags(precision, line) / numbers
+                            _sum_by_lag(precision, line) / numbers
                         )
     return TwoPixelModel(
         stack=stack,
@@ -182,16 +242,16 @@ def two_pixel_model(
 
 
 def _whitener(noise: DoubleArray) -> DoubleArray:
-    """Return the matrix W [n, n] of noise with the covariance N: ``W N W^T = 1``."""
+    """Matrix W [n, n] that whitens noise of the covariance N [n, n]: ``W N W^T = 1``."""
     count = len(noise)
     factor = np.linalg.cholesky(noise + _JITTER * np.trace(noise) / count * np.eye(count))
     return np.linalg.inv(factor)
 
 
 def _precisions(whitener: DoubleArray, texture: DoubleArray) -> tuple[DoubleArray, DoubleArray]:
-    """Invert ``r S + N`` for all ratios r; return also the logarithms of ``det(r S N^-1 + 1)``.
+    """Inverses of ``r S + N`` for all ratios r, and logarithms of ``det(r S N^-1 + 1)``.
 
-    They are [S, n, n] and [S].
+    They are [S, n, n] and [S]; the whitener of N and the texture's S are [n, n].
     """
     white = whitener @ texture @ whitener.T
     values, vectors = np.linalg.eigh((white + white.T) / 2)
@@ -200,14 +260,15 @@ def _precisions(whitener: DoubleArray, texture: DoubleArray) -> tuple[DoubleArra
     return (back / spread[:, None, :]) @ back.T, np.log(spread).sum(axis=1)
 
 
-def _sums_of_lags(precision: DoubleArray, line: NeighbourLine) -> DoubleArray:
-    """Add up the pairs of one lag: ``tr(precision C)`` is linear in the covariances at the lags."""
+def _sum_by_lag(precision: DoubleArray, line: NeighbourLine) -> DoubleArray:
+    """Weights of the covariances at the lags [m] in ``tr(precision C)``."""
     sums = np.zeros(len(line.lags))
-    np.add.at(sums, line.lag_of_pair, precision)
+    np.add.at(sums, line.pair_lags, precision)
     return sums
 
 
-def _check(stack: PsfStack, config: TwoPixelConfig) -> None:
+def _check_stack(stack: PsfStack, config: TwoPixelConfig) -> None:
+    """Raise `InputError` if the levels or their PSFs do not suit the method."""
     if config.window_px % BLOCK_PX:
         below = config.window_px // BLOCK_PX * BLOCK_PX
         raise InputError(
@@ -218,8 +279,8 @@ def _check(stack: PsfStack, config: TwoPixelConfig) -> None:
     sizes = stack.blur_sizes_px
     if not stack.in_pixels:
         raise InputError(
-            "psfs: they were measured without their sizes in px, which say where a pixel's "
-            "neighbours are: give sizes_px, or use --method bank"
+            "psfs: they were measured without their sizes in px, on which the neighbours of a "
+            "pixel depend: give sizes_px, or use --method bank"
         )
     if sizes.min() < 0 < sizes.max():
         raise InputError(
