@@ -1,4 +1,4 @@
-"""One frame as numbers: linear light, grey, patches, noise, averages over time."""
+"""Frames: linear light, grey, patches, noise, averages over time."""
 
 from coded_aperture_ros.frames.decoding import decode_picture
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion

@@ -1,4 +1,4 @@
-"""Decoding compressed pictures of unknown origin."""
+"""Decoding compressed pictures, whole or damaged."""
 
 import struct
 
@@ -6,17 +6,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_PNG_SIGNATURE, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND"
-_JPEG_START, _JPEG_MARKER, _JPEG_TABLES, _JPEG_SHARE = b"\xff\xd8", 0xFF, 0xDB, 0.35
-# As stored; turned upright as EXIF asks, a picture would no longer suit the mask.
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_PNG_END = b"IEND"
+_JPEG_START = b"\xff\xd8"
+_JPEG_MARKER = 0xFF
+_JPEG_TABLES = 0xDB
+# Noise over the rounding of the median coefficient: best for depth from quality 95 down to 50.
+_JPEG_SHARE = 0.35
+# Without EXIF's rotation: a rotated picture would not match the mask.
 AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 def decode_picture(data: bytes | memoryview, flags: int = AS_STORED) -> NDArray | None:
-    """Return the pixels of a picture in any format that OpenCV reads; None of anything else.
+    """Pixels of a picture in any format that OpenCV reads; None if it cannot be decoded.
 
-    A PNG that is cut off, which OpenCV would decode in part without a word, is none either. `flags`
-    are those of `cv2.imdecode`.
+    Parameters
+    ----------
+    data : bytes
+        A truncated PNG, which OpenCV decodes in part without an error, is not decoded.
+    flags : int
+        Flags of `cv2.imdecode`.
+
+    Examples
+    --------
+    >>> picture = cv2.imencode(".png", np.zeros((4, 6), np.uint8))[1].tobytes()
+    >>> decode_picture(picture).shape
+    (4, 6)
+    >>> decode_picture(picture[:-8]) is None
+    True
     """
     data = bytes(data)
     if not data or (data.startswith(_PNG_SIGNATURE) and not _is_whole_png(data)):
@@ -28,17 +45,16 @@ def decode_picture(data: bytes | memoryview, flags: int = AS_STORED) -> NDArray 
 
 
 def quantisation_sigma(data: bytes) -> float:
-    """Return about how much noise JPEG has hidden in a picture: 0 where it is none.
+    """Standard deviation of JPEG's quantisation, of stored values in [0, 1]; 0 without JPEG.
 
-    Standard deviation, of stored values from 0 to 1: a third of the rounding of the median
-    luminance coefficient, which does best for depth from quality 95 down to 50.
+    It is a third of the rounding of the median luminance coefficient.
     """
     start = 2
     if not data.startswith(_JPEG_START):
         return 0.0
     while start + 4 <= len(data) and data[start] == _JPEG_MARKER:
         kind, length = struct.unpack_from(">xBH", data, start)
-        if kind == _JPEG_TABLES and not data[start + 4] & 15:  # that of the luminance
+        if kind == _JPEG_TABLES and not data[start + 4] & 15:  # table of the luminance
             wide = data[start + 4] >> 4
             steps = np.frombuffer(data, ">u2" if wide else np.uint8, 64, start + 5)
             return float(_JPEG_SHARE * np.median(steps) / 255 / np.sqrt(12))
@@ -47,9 +63,9 @@ def quantisation_sigma(data: bytes) -> float:
 
 
 def _is_whole_png(data: bytes) -> bool:
-    """Return whether all chunks are there.
+    """Whether all chunks are there.
 
-    OpenCV takes as much memory as a chunk says that it is long, up to four gigabytes.
+    OpenCV allocates the length that a chunk declares, up to four gigabytes.
     """
     start = len(_PNG_SIGNATURE)
     while start + 8 <= len(data):

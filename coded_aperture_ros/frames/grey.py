@@ -1,4 +1,4 @@
-"""From a camera frame to the grey image that the filter bank sees."""
+"""Grey image of a camera frame, with unusable pixels filled in."""
 
 import cv2
 import numpy as np
@@ -7,16 +7,27 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 
-# Black is near 0, but for noise; what is as dark as this is no measurement.
-_DARKEST = -1.0
-# An unusable pixel is filled from a square of this size around it.
-_FILL_FROM = (15, 15)
+# Lower values are no measurement: black is 0, but for noise.
+_MIN_LIGHT = -1.0
+# Square around an unusable pixel that it is filled from, px.
+_FILL_WINDOW_PX = (15, 15)
 
 
 def check_frame(frame: NDArray[np.floating]) -> None:
-    """Raise `InputError` if an array cannot be a frame.
+    """Check that an array is a frame.
 
-    A frame is [rows, columns] or [rows, columns, 3], and of a floating type.
+    Parameters
+    ----------
+    frame : ndarray, float [rows, columns] or [rows, columns, 3]
+
+    Raises
+    ------
+    InputError
+        If its shape or type is another one.
+
+    Examples
+    --------
+    >>> check_frame(np.zeros((48, 64), np.float32))
     """
     if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
         raise InputError(
@@ -27,55 +38,96 @@ def check_frame(frame: NDArray[np.floating]) -> None:
 
 
 def channel_mean(frame: NDArray[np.floating]) -> FloatArray:
-    """Return the mean of the channels, float32 [rows, columns]; of a grey frame, itself."""
+    """Mean of the channels, float32 [rows, columns]; a grey frame itself.
+
+    Examples
+    --------
+    >>> channel_mean(np.float32([[[0.0, 0.25, 0.5]]])).tolist()
+    [[0.25]]
+    """
     frame = np.ascontiguousarray(frame, np.float32)
     return frame if frame.ndim == 2 else cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
 
 
 def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolArray | None]:
-    """Return the mean of the channels, with unusable pixels filled in, and where those are.
+    """Mean of the channels, and the mask of its unusable pixels, which are filled in.
 
-    The frame, float32 [rows, columns] or [rows, columns, 3], is linear light in [0, 1]. NaN,
-    infinite, saturated and far too dark pixels are unusable, saturated ones where any channel is as
-    bright as `saturation`. In the result each has the mean of the usable ones around it. The second
-    result, bool [rows, columns], is None if every pixel is usable. Raises `InputError` if the frame
-    has another shape or is not of a floating type.
+    Unusable are NaN, infinite, saturated and far too dark pixels; each is filled with the mean of
+    the usable ones around it.
+
+    Parameters
+    ----------
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light in [0, 1].
+    saturation : float
+        A pixel is saturated if any channel is not below this.
+
+    Returns
+    -------
+    grey : ndarray, float32 [rows, columns]
+    unusable : ndarray, bool [rows, columns], or None
+        None if every pixel is usable.
+
+    Raises
+    ------
+    InputError
+        If the frame has another shape or is not of a floating type.
+
+    Examples
+    --------
+    >>> grey, unusable = grey_image(np.float32([[0.25, 0.5, 1.0]]), saturation=0.98)
+    >>> grey.tolist(), unusable.tolist()
+    ([[0.25, 0.5, 0.375]], [[False, False, True]])
     """
     check_frame(frame)
     frame = np.ascontiguousarray(frame, np.float32)
     grey = channel_mean(frame)
     with np.errstate(invalid="ignore"):  # NaN fails both comparisons
-        if frame.max() < saturation and grey.min() > _DARKEST:
+        if frame.max() < saturation and grey.min() > _MIN_LIGHT:
             return grey, None
     brightest = grey
     if frame.ndim == 3:
         brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
     usable = brightest < saturation
-    usable &= grey > _DARKEST
+    usable &= grey > _MIN_LIGHT
     return fill_unusable(grey, usable), ~usable
 
 
 def resampled(image: FloatArray, scale: float) -> FloatArray:
-    """Return an image enlarged by `scale`; smaller ones are means of pixels.
+    """Image enlarged by a factor, float32; a reduced one has means of pixels.
 
-    Raises `InputError` if next to nothing would be left of it.
+    Raises
+    ------
+    InputError
+        If not a single pixel is left.
+
+    Examples
+    --------
+    >>> resampled(np.zeros((48, 64), np.float32), 0.5).shape
+    (24, 32)
     """
     height, width = (round(scale * length) for length in image.shape[:2])
     if min(height, width) < 1:
         raise InputError(f"frame scale {scale:g}: nothing is left of {image.shape[:2]} pixels")
-    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
-    return np.asarray(cv2.resize(image, (width, height), interpolation=way), np.float32)
+    interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    return np.asarray(cv2.resize(image, (width, height), interpolation=interpolation), np.float32)
 
 
 def fill_unusable(image: FloatArray, usable: BoolArray) -> FloatArray:
-    """Return a grey image whose unusable pixels have the mean of the usable ones around them."""
+    """Grey image whose unusable pixels have the mean of the usable ones around them.
+
+    Examples
+    --------
+    >>> fill_unusable(np.float32([[0.25, 9.0]]), np.array([[True, False]])).tolist()
+    [[0.25, 0.25]]
+    """
     known = image.copy()
     known[~usable] = 0
     weight = usable.astype(np.float32)
     overall = known.sum() / max(weight.sum(), 1)
     # Borders of zero weight: pixels beyond the frame are unusable too.
     total, count = (
-        cv2.boxFilter(values, -1, _FILL_FROM, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        cv2.boxFilter(values, -1, _FILL_WINDOW_PX, normalize=False, borderType=cv2.BORDER_CONSTANT)
         for values in (known, weight)
     )
     holes = np.nonzero(~usable)

@@ -1,4 +1,4 @@
-"""Linear light: what a sensor counts, and what picture files and displays store instead."""
+"""Linear light, and the transfer curves of stored pictures."""
 
 import cv2
 import numpy as np
@@ -13,9 +13,17 @@ SRGB = "srgb"
 
 
 def gamma_from_text(text: str) -> Gamma:
-    """Read a gamma setting from a command line or parameter: a number or `srgb`.
+    """Gamma setting of a text: a number or `srgb`.
 
-    Raises `InputError` if it is neither.
+    Raises
+    ------
+    InputError
+        If it is neither.
+
+    Examples
+    --------
+    >>> gamma_from_text("2.2"), gamma_from_text("sRGB")
+    (2.2, 'srgb')
     """
     if text.strip().lower() == SRGB:
         return SRGB
@@ -28,7 +36,13 @@ def gamma_from_text(text: str) -> Gamma:
 
 
 def decode(stored: ArrayLike, gamma: Gamma) -> FloatArray:
-    """Turn stored values, 0 to 1, into linear light."""
+    """Linear light of stored values in [0, 1], float32.
+
+    Examples
+    --------
+    >>> decode([0.0, 0.5, 1.0], 2.0).tolist()
+    [0.0, 0.25, 1.0]
+    """
     _check(gamma)
     values = np.asarray(stored, dtype=np.float32)
     if isinstance(gamma, str):
@@ -38,7 +52,13 @@ def decode(stored: ArrayLike, gamma: Gamma) -> FloatArray:
 
 
 def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
-    """Turn linear light, 0 to 1, into stored values; the inverse of `decode`."""
+    """Stored values of linear light in [0, 1], float32; the inverse of `decode`.
+
+    Examples
+    --------
+    >>> encode([0.0, 0.25, 1.0], 2.0).tolist()
+    [0.0, 0.5, 1.0]
+    """
     _check(gamma)
     values = np.asarray(light, dtype=np.float32)
     if isinstance(gamma, str):
@@ -50,8 +70,19 @@ def encode(light: ArrayLike, gamma: Gamma) -> FloatArray:
 def compression_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
     """Standard deviation of the noise that compression has hidden in a frame, linear light.
 
-    Standard deviation; `lost` is what it has hidden of stored values from 0 to 1, 0 for nothing, of
-    a frame [rows, columns(, channels)] that is linear light already. NaN counts as dark.
+    Parameters
+    ----------
+    lost : float
+        The same of stored values in [0, 1], see `quantisation_sigma`; 0: none.
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light; NaN counts as dark.
+    gamma : float or "srgb"
+        Transfer curve of the stored values.
+
+    Examples
+    --------
+    >>> round(compression_noise(0.01, np.full((8, 8), 0.25, np.float32), 2.0), 4)
+    0.01
     """
     if not lost:
         return 0.0
@@ -62,11 +93,24 @@ def compression_noise(lost: float, frame: FloatArray, gamma: Gamma) -> float:
 
 
 def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
-    """Turn pixels of any usual type into linear light.
+    """Linear light of pixels, float32 of the same shape.
 
-    Integers (uint8, uint16) span 0 to their type's maximum; floats are taken as they are, NaN
-    included. `gamma` says how 8-bit pixels are encoded; wider types are linear already. Raises
-    `InputError` if the type is another one.
+    Parameters
+    ----------
+    pixels : ndarray, uint8, uint16 or float
+        Integers span 0 to their type's maximum; floats, NaN included, are not changed.
+    gamma : float or "srgb"
+        Transfer curve of 8-bit pixels; wider types are linear.
+
+    Raises
+    ------
+    InputError
+        If the type is another one.
+
+    Examples
+    --------
+    >>> linear_from_pixels(np.array([0, 65535], np.uint16)).tolist()
+    [0.0, 1.0]
     """
     if pixels.dtype == np.uint8 and gamma == 1.0:
         return pixels * np.float32(1 / 255)  # several times faster than a table
@@ -82,14 +126,20 @@ def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
 def pixels_from_linear(
     image: NDArray, bits: int, gamma: Gamma = 1.0
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Quantise linear light to 8 or 16 bits; clipped to 0..1, NaN becomes 0."""
+    """Pixels of 8 or 16 bits of linear light, clipped to [0, 1]; NaN becomes 0.
+
+    Examples
+    --------
+    >>> pixels_from_linear(np.float32([0.0, 0.5, 2.0, np.nan]), 8).tolist()
+    [0, 128, 255, 0]
+    """
     values = np.clip(image, 0.0, 1.0)
     unknown = np.isnan(values)
     if unknown.any():
         values[unknown] = 0.0
     stored = encode(values, gamma)
     if bits == 8 and stored.size:
-        # Scales, rounds and converts in one go, to the same numbers.
+        # One pass scales, rounds and converts, with the same result.
         row = np.ascontiguousarray(stored).reshape(1, -1)
         return np.asarray(cv2.convertScaleAbs(row, alpha=255.0)).reshape(stored.shape)
     maximum, dtype = {8: (255.0, np.uint8), 16: (65535.0, np.uint16)}[bits]
@@ -97,5 +147,6 @@ def pixels_from_linear(
 
 
 def _check(gamma: Gamma) -> None:
+    """Raise `InputError` for a gamma out of range."""
     if gamma != SRGB and (isinstance(gamma, str) or not 0.1 <= gamma <= 10.0):
         raise InputError(f"gamma: expected 0.1 to 10 or {SRGB}, got {gamma!r}")

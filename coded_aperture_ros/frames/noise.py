@@ -1,6 +1,6 @@
-"""The noise of a frame: what is known of it beforehand, or else the top of its spectrum.
+"""Noise of a frame: known beforehand, or estimated from its highest frequencies.
 
-A blurred texture has next to nothing at the highest frequencies; what is there is noise.
+Blur removes almost all texture at the highest frequencies; the rest is noise.
 """
 
 import dataclasses
@@ -14,31 +14,41 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.grey import grey_image
 from coded_aperture_ros.frames.patches import PatchGrid, window_brightness, window_means
 
-# Passes what alternates from pixel to pixel along rows and columns both, and white noise with its
-# variance unchanged: a texture, blurred or not, has next to nothing there. A sharper filter would
-# miss noise that a sensor's colour filters have smoothed.
+# High-pass filter of unit energy, for rows and columns both: texture, blurred or not, has almost no
+# power there. A sharper filter would miss noise that a sensor's colour filters have smoothed.
 ALTERNATING = (np.array([1, -2, 1]) / np.sqrt(6)).astype(np.float32)
-# Passes half these frequencies, which colour filters leave, and more texture: less of it counts.
-# On the real photograph it finds three times as much noise, of a frame with white noise no more.
+# The same at half the frequencies, which colour filters leave, with more texture and a lower
+# weight. In a real photograph it finds three times as much noise, in white noise no more.
 HALF_AS_FAST = (np.array([1, 0, -2, 0, 1]) / np.sqrt(6)).astype(np.float32)
-_OF_HALF_AS_FAST = 0.8
+_HALF_AS_FAST_WEIGHT = 0.8
 
-# The least textured windows tell the noise best; the very least are there by chance.
+# Quantile of the power of windows: the least textured ones show the noise best, the very least are
+# so by chance.
 _QUANTILE = 0.05
-_DARKEST = 0.25
-# Noise that is taken too low is fatal for the estimate, too high only costs a little.
+# Share of the windows with the least light, where shot noise hides the rest of the noise least.
+_DARKEST_SHARE = 0.25
+# Factor on the estimate: too low a noise is fatal for depth, too high costs little accuracy.
 _MARGIN = 1.2
-# Of whole frames, sparse windows tell enough; saturation does not matter to their noise.
-_WINDOW_PX, _LEAST_WINDOW_PX = 32, 8
+# Side of the windows for the noise of a whole frame, and of those of small frames, px.
+_WINDOW_PX = 32
+_MIN_WINDOW_PX = 8
+# Saturation does not matter for the noise of a frame.
 _NEVER_SATURATED = 1e9
-# Real frames are not cleaner than this, whatever their spectrum says.
+# No real frame has less noise, standard deviation, linear light.
 NOISE_FLOOR = 2e-4
 
 
 def high_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray = ALTERNATING) -> FloatArray:
-    """Return the mean power of the highest frequencies around every patch [rows, columns].
+    """Mean power of the highest frequencies around every patch [rows, columns].
 
-    It is the variance of the noise, and what little there is of texture. The `kernel` passes them.
+    It is the variance of the noise, and of little texture.
+
+    Parameters
+    ----------
+    grey : ndarray, float32 [height, width]
+    grid : PatchGrid
+    kernel : ndarray, float32 [k]
+        High-pass filter of unit energy.
     """
     passed = cv2.sepFilter2D(grey, -1, kernel, kernel)
     cv2.multiply(passed, passed, passed)
@@ -46,43 +56,57 @@ def high_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray = ALTERNATI
 
 
 def estimate_noise(high_power: FloatArray, shot_variance: FloatArray | None = None) -> float:
-    """Estimate the standard deviation of white noise, erring upward; at least `NOISE_FLOOR`.
+    """Standard deviation of white noise, rather too high than too low; at least `NOISE_FLOOR`.
 
-    From the `high_power` of a frame's windows. The variance of shot noise, of the same shape, is
-    what is known of the noise, and left out of the estimate.
+    Parameters
+    ----------
+    high_power : ndarray, float32 [n]
+        Of a frame's windows; see `high_power`.
+    shot_variance : ndarray, float32 [n], optional
+        Known variance of shot noise, which is subtracted.
+
+    Examples
+    --------
+    >>> round(estimate_noise(np.full(100, 1e-4, np.float32)), 4)
+    0.012
     """
     variance = _MARGIN**2 * high_power
     if shot_variance is not None:
-        # Where there is much light, its noise hides the rest.
-        darkest = shot_variance <= np.quantile(shot_variance, _DARKEST)
+        darkest = shot_variance <= np.quantile(shot_variance, _DARKEST_SHARE)
         variance = (variance - shot_variance)[darkest]
     return float(np.sqrt(max(np.quantile(variance, _QUANTILE), NOISE_FLOOR**2)))
 
 
 class HasNoise(Protocol):
-    """Settings, a camera or a model that may know the noise; `noise_gain` is optional."""
+    """Settings, camera or model with a noise, and optionally a `noise_gain`."""
 
     @property
     def noise(self) -> float:
-        """Standard deviation of one channel's noise in the dark; 0: not known."""
+        """Standard deviation of one channel's noise in the dark, linear light; 0: unknown."""
 
 
 @dataclasses.dataclass(frozen=True)
 class KnownNoise:
-    """Noise of one channel, linear light, as far as it is known before a frame is seen."""
+    """Noise of one channel, linear light, as far as it is known before a frame is measured.
+
+    Examples
+    --------
+    >>> KnownNoise.from_sources(KnownNoise(), KnownNoise(0.002, 1e-4))
+    KnownNoise(noise=0.002, noise_gain=0.0001)
+    """
 
     noise: float = 0.0  # standard deviation in the dark; 0: it is estimated in each frame
     noise_gain: float = 0.0  # variance of shot noise per unit of light; 0: none
 
     @classmethod
     def from_sources(cls, *sources: HasNoise | None) -> "KnownNoise":
-        """Take each value from the first source that has it.
+        """Each value of the first source that has it.
 
-        This is the one precedence of the whole package: options that were set, then the camera
-        file, then the filter bank; and what none of them knows is estimated.
+        The order is the same in the whole package: options that were set, then the camera file,
+        then the filter bank; otherwise noise is estimated.
         """
         values = [
-            next((found for source in sources if (found := getattr(source, name, 0.0))), 0.0)
+            next((value for source in sources if (value := getattr(source, name, 0.0))), 0.0)
             for name in ("noise", "noise_gain")
         ]
         return cls(*values)
@@ -90,10 +114,16 @@ class KnownNoise:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class GreyNoise:
-    """Noise of the mean of a frame's channels."""
+    """Noise of the mean of a frame's channels, linear light.
+
+    Examples
+    --------
+    >>> round(GreyNoise(0.003, np.full((2, 2), 1.6e-5, np.float32)).typical, 6)
+    0.005
+    """
 
     sigma: float  # standard deviation, without shot noise
-    # [rows, columns]; of the shot noise around every patch, if it is known.
+    # [rows, columns]; variance of the shot noise around every patch, if it is known.
     shot_variance: FloatArray | None = None
     # As `sigma`, from the highest frequencies alone, where it was estimated: fine texture counts
     # less there, and the noise of colour sensors, too.
@@ -101,7 +131,7 @@ class GreyNoise:
 
     @property
     def least(self) -> float:
-        """What frames of a static scene differ by at least: of the highest frequencies alone."""
+        """Standard deviation from the highest frequencies alone: least noise of static frames."""
         return self.sigma if self.highest is None else self.highest
 
     @property
@@ -127,34 +157,62 @@ def grey_noise(
     brightness: FloatArray | None = None,
     usable: BoolArray | None = None,
 ) -> GreyNoise:
-    """Return the noise of a frame: what is known of it, and an estimate of the rest.
+    """Noise of a grey frame: as far as it is known, and else estimated.
 
-    `grey`, float32 [height, width], is the mean of so many `channels`, which has less noise than
-    each of them; `grid` says where to look. Shot noise needs the brightness around every patch
-    [rows, columns]; `usable` are the patches without pixels that were filled in: these have no
-    noise.
+    Parameters
+    ----------
+    grey : ndarray, float32 [height, width]
+        Mean of the channels, which has less noise than each of them.
+    grid : PatchGrid
+        Windows whose noise is estimated.
+    known : KnownNoise
+        Of one channel.
+    channels : int
+    brightness : ndarray, float32 [rows, columns], optional
+        Around every patch, needed for shot noise.
+    usable : ndarray, bool [rows, columns], optional
+        Patches without pixels that were filled in, as these have no noise.
+
+    Examples
+    --------
+    >>> grid = PatchGrid.covering((64, 64), window_px=32, stride_px=8)
+    >>> frame = np.random.default_rng(0).normal(0.5, 0.01, (64, 64)).astype(np.float32)
+    >>> bool(0.008 < grey_noise(frame, grid, KnownNoise()).sigma < 0.014)
+    True
     """
     shot_variance = None
     if known.noise_gain and brightness is not None:
         shot_variance = np.float32(known.noise_gain / channels) * np.maximum(brightness, 0)
     if known.noise:
         return GreyNoise(known.noise / float(np.sqrt(channels)), shot_variance)
-    telling = np.ones((grid.rows, grid.columns), np.bool_)
+    measured = np.ones((grid.rows, grid.columns), np.bool_)
     if usable is not None:
-        telling = usable if usable.any() else ~usable
-    shot = None if shot_variance is None else shot_variance[telling]
-    highest = estimate_noise(high_power(grey, grid)[telling], shot)
+        measured = usable if usable.any() else ~usable
+    shot = None if shot_variance is None else shot_variance[measured]
+    highest = estimate_noise(high_power(grey, grid)[measured], shot)
     # Noise that a sensor's colour filters have smoothed is missing from the highest frequencies.
-    lower = estimate_noise(high_power(grey, grid, HALF_AS_FAST)[telling], shot)
-    return GreyNoise(max(highest, _OF_HALF_AS_FAST * lower), shot_variance, highest)
+    lower = estimate_noise(high_power(grey, grid, HALF_AS_FAST)[measured], shot)
+    return GreyNoise(max(highest, _HALF_AS_FAST_WEIGHT * lower), shot_variance, highest)
 
 
 def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
-    """Return the standard deviation of one channel's noise in a frame, with its shot noise.
+    """Standard deviation of one channel's noise in a frame, with its shot noise, for deblurring.
 
-    What deblurring reckons with, in nodes, commands and bags alike. The frame, float32 [rows,
-    columns] or [rows, columns, 3], is linear light; NaN where unknown. Raises `InputError` if the
-    noise has to be estimated and the frame is too small for that.
+    Parameters
+    ----------
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light; NaN where unknown.
+    known : KnownNoise
+
+    Raises
+    ------
+    InputError
+        If the noise has to be estimated and the frame is too small for that.
+
+    Examples
+    --------
+    >>> channel_noise(np.full((48, 64), 0.5, np.float32), KnownNoise(0.002))
+    0.002
     """
     # Sensors sample green the most; the mean of the channels would count their texture thrice.
     grey, _ = grey_image(frame if frame.ndim == 2 else frame[..., 1], _NEVER_SATURATED)
@@ -162,7 +220,7 @@ def channel_noise(frame: FloatArray, known: KnownNoise) -> float:
     if not sigma:
         height, width = grey.shape
         window_px = min(_WINDOW_PX, 2 * (min(height, width) // 2))
-        if window_px < _LEAST_WINDOW_PX:
+        if window_px < _MIN_WINDOW_PX:
             raise InputError(
                 f"frame of {width}x{height} px is too small to estimate its noise, give the noise"
             )

@@ -32,14 +32,14 @@ _SLOPES = (0.0, 1.6, 2.4, 3.2)
 # Smallest period of the texture of the model, px.
 _MIN_PERIOD_PX = 256
 # Error of the model (shading, slants, covariance of lines with each other) as white noise, relative
-# to the texture's contrast (standard deviation). Planes of natural texture, noise 0.0001, windows of
-# 64 px, channels not smoothed: 0 gives 1.7 to 2.1 levels, 0.006 gives 0.8 to 1.3.
+# to the texture's contrast (standard deviation). Planes of natural texture, noise 0.0001, windows
+# of 64 px, channels not smoothed: 0 gives 1.7 to 2.1 levels, 0.006 gives 0.8 to 1.3.
 _MODEL_ERROR = 6e-3
 # Share of the noise's own variance that keeps its covariance invertible.
 _JITTER = 1e-6
-# Number of times that neighbours across a line are averaged. Planes of natural texture, noise 0.001,
-# window 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for four_hole; 4
-# times is no better.
+# Number of times that neighbours across a line are averaged. Planes of natural texture, noise
+# 0.001, window 96 px: 0.93 levels without and 0.82 with it for two_hole, 0.69 and 0.63 for
+# four_hole; 4 times is no better.
 _SMOOTHING = 2
 
 
