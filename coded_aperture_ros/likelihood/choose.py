@@ -36,7 +36,7 @@ def new_model(
     ----------
     method : {"bank", "two_pixel", "motion"}
         A filter bank, for any mask; a pixel and its neighbours, for a mask of two to eight equal
-        holes; or a filter bank that tells blur by motion from blur by defocus.
+        holes; or a filter bank that distinguishes motion blur from defocus.
     camera : Camera, optional
         Needed without a bank.
     bank : FilterBank, optional

@@ -1,8 +1,8 @@
 """Interface of the methods: a model, planned for frames of one size, returns a cost volume.
 
-A *model* knows the mask: what a patch looks like at every blur level. Its `plan` makes a
-*likelihood* for frames of one size, which holds threads and buffers and turns each frame into a
-`Cost`. Everything after the cost volume is common to all methods.
+A *model* has the blur of a mask at every level. Its `plan` makes a *likelihood* for frames of one
+size, which holds threads and buffers and turns each frame into a `Cost`. Everything after the cost
+volume is common to all methods.
 """
 
 import dataclasses

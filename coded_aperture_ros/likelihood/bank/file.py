@@ -21,7 +21,7 @@ from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Intrinsics, Mask, PsfStack
 
 SCHEMA = "coded-aperture filter bank"
-# Version 2 may leave out high frequencies, and knows its stride.
+# Version 2 may leave out high frequencies, and has a stride.
 VERSION = 2
 
 # Attributes that are stored under their own name, with the conversion on reading, and those that

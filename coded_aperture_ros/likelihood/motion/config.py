@@ -21,13 +21,13 @@ class MotionConfig:
     parameter_group = "motion."
     motion_directions: int = option(
         8,
-        "Directions of motion that are told apart, from 0 to 180 degrees.",
+        "Directions of motion that are distinguished, from 0 to 180 degrees.",
         within=(1, 64),
         read_only=True,
     )
     motion_lengths: int = option(
         8,
-        "Lengths of motion that are told apart in each direction.",
+        "Lengths of motion that are distinguished in each direction.",
         within=(1, 64),
         read_only=True,
     )
@@ -60,7 +60,7 @@ class MotionConfig:
     refinement_px: float = option(
         0.0,
         "Motions that occur are searched for to this accuracy, half a second or more for each; 0: "
-        "they lie where a parabola through the costs of those that are told apart is least.",
+        "they lie where a parabola through the costs of the distinguished ones is least.",
         unit="px",
         within=(0.0, 1.0),
     )
@@ -72,7 +72,7 @@ class MotionConfig:
     )
     prior_motions: int = option(
         3,
-        "With a known angular velocity: motions nearest to the expected one that are tried.",
+        "With a known angular velocity: motions nearest to the expected one that are compared.",
         within=(1, 64),
     )
 
