@@ -91,7 +91,7 @@ def test_only_what_a_mask_tells_is_looked_at(backend, mask, mirrored):
     """Behind a mask that is its own mirror image, +v and -v are alike."""
     bank, frame = some_bank(mask=mask), some_frame((64, 72))
     plan = Plan.for_frames(bank, frame.shape, 8)
-    assert mirrored == (not plan.used[plan.paired : 2 * plan.paired].any())
+    assert mirrored == (not plan.horizontal_counts[plan.paired : 2 * plan.paired].any())
     engine = plan_engine(bank, frame.shape, 8, backend)
     engine.project(frame)
     assert_close(engine.energies(NOISE), energies_by_definition(bank, frame, 8, NOISE))
