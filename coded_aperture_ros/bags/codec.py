@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.contents import Topic
-from coded_aperture_ros.frames.decoding import quantisation_sigma
+from coded_aperture_ros.frames.light import quantisation_sigma
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_compressed,

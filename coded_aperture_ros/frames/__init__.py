@@ -1,6 +1,5 @@
 """Frames: linear light, grey, patches, noise, averages over time."""
 
-from coded_aperture_ros.frames.decoding import decode_picture
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.frame import Frame, PixelFormat
 from coded_aperture_ros.frames.grey import (
@@ -15,6 +14,7 @@ from coded_aperture_ros.frames.light import (
     Gamma,
     compression_noise,
     decode,
+    decode_picture,
     encode,
     gamma_from_text,
     linear_from_pixels,

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.frames.decoding import decode_picture, quantisation_sigma
-from coded_aperture_ros.frames.light import Gamma, linear_from_pixels, pixels_from_linear
+from coded_aperture_ros.frames.light import (
+    Gamma,
+    decode_picture,
+    linear_from_pixels,
+    pixels_from_linear,
+    quantisation_sigma,
+)
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (

@@ -15,7 +15,7 @@ from std_msgs.msg import Header
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.frames.decoding import quantisation_sigma
+from coded_aperture_ros.frames.light import quantisation_sigma
 from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import (
