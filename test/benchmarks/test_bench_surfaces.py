@@ -21,9 +21,10 @@ def test_a_few_fences(capsys, tmp_path):
     assert "taken for two" in second.SUITE.text(results)
 
 
-def test_a_few_pairs(capsys, tmp_path):
+def test_a_few_pairs(capsys, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
-    arguments = ("focus", "--scenes", 1, "--masks", "levin", "--output", tmp_path)
+    monkeypatch.setattr(focus, "_SIZE", (192, 256))
+    arguments = ("focus", "--scenes", 1, "--masks", "levin", "--jobs", 1, "--output", tmp_path)
     results = json_of_benchmarks(capsys, *arguments)
     pooled = {(row["setting"], row["given"]): row for row in results["pooled"]}
     assert len(pooled) == 3 * len(focus.SETTINGS)
