@@ -25,8 +25,8 @@ from coded_aperture_ros.ros.diagnostics import (
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
-from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
+from coded_aperture_ros.ros.scheduling import Pace
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
 from coded_aperture_ros.sources import (

@@ -27,8 +27,7 @@ from coded_aperture_ros.ros.diagnostics import (
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import image_from_compressed, stamp_ns
-from coded_aperture_ros.ros.newest import NewestWorker
-from coded_aperture_ros.ros.pace import RateLimit
+from coded_aperture_ros.ros.scheduling import NewestWorker, RateLimit
 from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs
 
 Item = TypeVar("Item")

@@ -13,9 +13,8 @@ from coded_aperture_ros.io.messages import MessageError
 from coded_aperture_ros.ros.deblur_node import depth_of_frame
 from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, Statistics, status_of
 from coded_aperture_ros.ros.messages import image_from_array
-from coded_aperture_ros.ros.newest import NewestWorker
-from coded_aperture_ros.ros.pace import RateLimit
 from coded_aperture_ros.ros.pairing import StampPairs
+from coded_aperture_ros.ros.scheduling import NewestWorker, RateLimit
 from coded_aperture_ros.ros.static_transform import optical_transform
 
 

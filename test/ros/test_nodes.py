@@ -43,7 +43,7 @@ from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.diagnostics import DiagnosticsConfig, status_of
 from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array, stamp_ns
-from coded_aperture_ros.ros.pace import RateLimit
+from coded_aperture_ros.ros.scheduling import RateLimit
 
 
 def test_a_frame_in_gives_depth_out(ros, model, coded):

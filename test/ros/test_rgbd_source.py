@@ -16,8 +16,8 @@ from coded_aperture_ros.io.messages import MessageError, array_from_image, milli
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import image_from_array, stamp_ns
-from coded_aperture_ros.ros.pace import Pace
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
+from coded_aperture_ros.ros.scheduling import Pace
 from coded_aperture_ros.simulation import render_coded_frame
 
 SHAPE = (48, 64)
