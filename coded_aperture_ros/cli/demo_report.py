@@ -154,7 +154,7 @@ def figures_of_snapshot(snapshot: dict[str, NDArray]) -> dict[str, Any]:
     from coded_aperture_ros.ros import demo_monitor as topics
 
     sharp, depth_m = snapshot[topics.TRUE_IMAGE], snapshot[topics.DEPTH]
-    error = topics.error_of(depth_m, snapshot[topics.CONFIDENCE], snapshot[topics.TRUE_DEPTH])
+    error = topics.map_error(depth_m, snapshot[topics.CONFIDENCE], snapshot[topics.TRUE_DEPTH])
     return {
         "frame": [*sharp.shape[1::-1]],
         "depth_image": [*depth_m.shape[::-1]],

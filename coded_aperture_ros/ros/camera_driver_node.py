@@ -1,4 +1,4 @@
-"""The node that brings coded frames into ROS: from a camera, files or the simulator."""
+"""Node that publishes coded frames of a camera, of files or of the simulator."""
 
 import dataclasses
 import math
@@ -21,7 +21,7 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
-    camera_of,
+    camera_name,
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
@@ -38,13 +38,18 @@ from coded_aperture_ros.sources import (
     open_source,
 )
 
+# Between two looks at whether anyone subscribes.
 _IDLE_S = 0.05
-_RETRY_S = (0.5, 10.0)
+# Pause after a failure of the source: the first, and the longest; each is twice the one before.
+_FIRST_RETRY_S = 0.5
+_LONGEST_RETRY_S = 10.0
+# Shortest time between two log lines about missing RGB-D pairs, or about camera_info.
+_LOG_PERIOD_S = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
 class CameraDriverConfig:
-    """Where frames come from and how they are published; it cannot change while the node runs."""
+    """Source of the frames and how they are published; fixed while the node runs."""
 
     source: str = option(
         SIMULATOR,
@@ -59,7 +64,7 @@ class CameraDriverConfig:
         "Encoding of image_raw",
         choices=("mono8", "rgb8", "bgr8", "mono16", "bayer_rggb8", "bayer_rggb16"),
     )
-    loop: bool = option(True, "Begin files again after their last frame")
+    loop: bool = option(True, "Start files again after their last frame")
     noise: float = option(
         0.002,
         "Standard deviation of the simulated sensor's noise in linear light",
@@ -94,17 +99,16 @@ class CameraDriverConfig:
 
 @dataclasses.dataclass(frozen=True)
 class LazyConfig:
-    """When there are frames at all."""
+    """Whether frames are produced without a subscriber."""
 
     lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
 
 
 class CameraDriverNode(ManagedNode):
-    """Publishes frames and their camera model, in a thread of its own.
+    """Publishes frames and their camera model, from a thread of its own.
 
-    The thread keeps time by a steady clock, so that it also runs where the ROS clock stands
-    still; the stamps are those of the ROS clock when a frame has been acquired, or those that the
-    frames bring along.
+    The thread is timed by a steady clock, so that it also runs where the ROS clock stands still.
+    Stamps are those of the source, or else the ROS time when a frame has been acquired.
     """
 
     def __init__(self, *, local: LocalTopics | None = None, **node_options: Any) -> None:
@@ -124,12 +128,12 @@ class CameraDriverNode(ManagedNode):
         if config.publish_clock:
             topics["/clock"] = ClockMessage
         self._outputs = Outputs(self, topics, local)
-        self._name = config.camera_name or camera_of(self)
+        self._name = config.camera_name or camera_name(self)
         self._source: Source | None = None
         self._store: CameraInfoStore | None = None
         self._diagnostics: DiagnosticsPublisher | None = None
         self._thread: threading.Thread | None = None
-        self._stopping = threading.Event()  # of the thread
+        self._stopping = threading.Event()  # ends the thread
         self._failures = 0
         self._failing = False
         self.begin()
@@ -165,7 +169,7 @@ class CameraDriverNode(ManagedNode):
                     math.radians(config.base_pitch_deg),
                 ),
             )
-        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._described)
+        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._describe)
 
     def clean_up(self) -> None:
         """Undo `set_up`."""
@@ -174,19 +178,23 @@ class CameraDriverNode(ManagedNode):
         for made in (self._diagnostics, self._store, self._source):
             if made is not None:
                 made.close()
-        self._diagnostics = self._store = self._source = None
+        self._diagnostics = None
+        self._store = None
+        self._source = None
         self._outputs.close()
 
     def start_work(self) -> None:
-        """Begin to take frames."""
+        """Start the thread that publishes frames."""
         if self._thread is not None and self._thread.is_alive():
-            raise InputError("the camera does not end its last frame: wait, and try again")
+            raise InputError(
+                f"{self._config.source}: still reading a frame from before: wait, and try again"
+            )
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._thread.start()
 
     def stop_work(self) -> None:
-        """End the thread, which lets go of the camera, as soon as the frame in work is done."""
+        """End the thread, which closes the source, as soon as the frame in work is done."""
         self._stopping.set()
         if self._thread is not None:
             self._thread.join(LONGEST_FRAME_S)
@@ -201,10 +209,10 @@ class CameraDriverNode(ManagedNode):
 
     def _take_frames(self, source: Source, stopping: threading.Event) -> None:
         pace = Pace(stopping)
-        retry_s = _RETRY_S[0]
+        retry_s = _FIRST_RETRY_S
         settings = self.configs[DeviceConfig]
         while not stopping.is_set():
-            # A live source goes on, or the first frame to be published would be an old one.
+            # A live source is read all the same: the first frame published would be an old one.
             lazy = self.configs[LazyConfig].lazy and not source.live
             if lazy and not self._outputs.listened():
                 stopping.wait(_IDLE_S)
@@ -212,74 +220,80 @@ class CameraDriverNode(ManagedNode):
                 continue
             try:
                 if isinstance(source, DeviceSource):
-                    settings = self._keep_settings(source, settings)
-                begun_s = time.monotonic()
+                    settings = self._configure_device(source, settings)
+                read_s = time.monotonic()
                 capture = source.read()
-                # A live source waits for its camera, others work.
-                work_s = 0.0 if source.live else time.monotonic() - begun_s
+                # Reading a live source is waiting for the camera; reading another one is work.
+                work_s = 0.0 if source.live else time.monotonic() - read_s
                 if capture is None:
-                    self.get_logger().info(f"end of {self._config.source}")
+                    self.get_logger().info(f"{self._config.source}: end of file")
                     break
                 self.statistics.count_received()
                 if not source.live:
                     pace.wait(1.0 / self._config.rate_hz, capture.stamp_ns)
-                taken_s = time.monotonic()
+                publish_s = time.monotonic()
                 self._publish(capture)
-                self.statistics.count_processed(None, work_s + time.monotonic() - taken_s)
+                self.statistics.count_processed(None, work_s + time.monotonic() - publish_s)
             except Exception as error:
-                # A camera that is unplugged, or a driver that fails in its own way: the robot
-                # goes on, and so does this node as soon as there are frames again.
-                # Pairs may be missing many times a second. They have been waited for as they were
-                # read, and those that come are not to wait.
+                # An unplugged camera, or any error of its driver: the robot keeps driving, and the
+                # node publishes again as soon as there are frames.
+                # RGB-D pairs may fail many times a second: their log lines are throttled. Reading
+                # them has waited already, and a pause would delay the next pair.
                 pairs = isinstance(source, RgbdSource)
-                self._tell_failure(source, error, 10.0 if pairs else 0.0)
+                self._report_failure(source, error, _LOG_PERIOD_S if pairs else 0.0)
                 if not pairs:
                     stopping.wait(retry_s)
-                    retry_s = min(2 * retry_s, _RETRY_S[1])
+                    retry_s = min(2 * retry_s, _LONGEST_RETRY_S)
                 continue
             if self._failing:
-                self._failing, retry_s = False, _RETRY_S[0]
-                self.get_logger().info("frames are coming again")
+                self._failing = False
+                retry_s = _FIRST_RETRY_S
+                self.get_logger().info("frames arrive again")
 
-    def _tell_failure(self, source: Source, error: Exception, pause_s: float) -> None:
+    def _report_failure(self, source: Source, error: Exception, log_period_s: float) -> None:
+        """Count a failure of the source; log the first one of a series."""
         self.statistics.count_rejected("source", str(error))
         if not self._failing:
             self._failing = True
             self._failures += 1
-            going_on = (
-                "trying again until it works" if source.live else "going on with what follows"
-            )
-            self.get_logger().error(f"{error}; {going_on}", throttle_duration_sec=pause_s)
+            next_step = "retrying until it works" if source.live else "skipped, reading the next"
+            self.get_logger().error(f"{error}; {next_step}", throttle_duration_sec=log_period_s)
 
-    def _keep_settings(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:
-        """Tell the device what has been changed, and the user what it does not know."""
+    def _configure_device(self, source: DeviceSource, settings: DeviceConfig) -> DeviceConfig:
+        """Set changed parameters on the device; warn of those that it refuses.
+
+        Returns the present settings; `settings` are those that the device has.
+        """
         present = self.configs[DeviceConfig]
         if present is not settings:
             source.configure(present)
         if source.refused:
-            self.get_logger().warning(f"the device does not take: {', '.join(source.refused)}")
+            self.get_logger().warning(f"the device refuses: {', '.join(source.refused)}")
             source.refused = ()
         if source.automatic:
             self.get_logger().warning(
-                f"the device changes its {' and '.join(source.automatic)} by itself: depth needs a "
-                "focus that stays, and an exposure that does (device.exposure)"
+                f"the device adjusts its {' and '.join(source.automatic)} automatically: depth "
+                "needs a fixed focus and exposure, set them (device.exposure)"
             )
             source.automatic = ()
         return present
 
     def _publish(self, capture: Capture) -> None:
-        stamp_ns, own_time = capture.stamp_ns, self._config.publish_clock
-        if stamp_ns is None:  # time that is made here would wait for itself
-            stamp_ns = time.time_ns() if own_time else self.get_clock().now().nanoseconds
+        """Publish a frame, its camera model and its ground truth."""
+        stamp_ns = capture.stamp_ns
+        publishes_clock = self._config.publish_clock
+        if stamp_ns is None:  # the ROS time would wait for the /clock that this node publishes
+            stamp_ns = time.time_ns() if publishes_clock else self.get_clock().now().nanoseconds
         stamp = Time(nanoseconds=stamp_ns).to_msg()
         header = Header(frame_id=self._config.frame_id, stamp=stamp)
-        encoding, frame = self._config.encoding, capture.frame
+        encoding = self._config.encoding
+        frame = capture.frame
         if capture.mosaic:
             frame = PixelFormat(mosaic=capture.mosaic).picture(frame)
-        if own_time:
+        if publishes_clock:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
         height, width = capture.frame.shape[:2]
-        self._publish_camera_info(width, height, header)  # first: it is there when its frame is
+        self._publish_camera_info(width, height, header)  # before its frame
         if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
@@ -292,15 +306,19 @@ class CameraDriverNode(ManagedNode):
 
     def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
         try:
-            model = self._store and self._store.fitted(width, height)
+            model = self._store and self._store.model_for(width, height)
             model = model or self._camera.resized(width, height).intrinsics
         except InputError as error:
-            self.get_logger().warning(f"no camera_info: {error}", throttle_duration_sec=10.0)
+            self.get_logger().warning(
+                f"camera_info not published: {error}", throttle_duration_sec=_LOG_PERIOD_S
+            )
             return
         self._outputs.send("camera_info", camera_info_from_camera(model, header))
 
-    def _described(self) -> dict[str, Any]:
-        source, config = self._source, self._config
+    def _describe(self) -> dict[str, Any]:
+        """Keyword arguments of `status_of`."""
+        source = self._source
+        config = self._config
         return {
             "config": self.configs[DiagnosticsConfig],
             "hardware_id": self._name,

@@ -1,4 +1,4 @@
-"""The camera model that a driver publishes, kept in a file as `camera_info_manager` keeps it."""
+"""Camera model that a driver publishes, stored in a file as `camera_info_manager` does."""
 
 import os
 import re
@@ -21,11 +21,19 @@ _VARIABLE = re.compile(r"\$\{([^}]*)\}")
 
 
 def camera_info_path(url: str, camera_name: str) -> Path:
-    """Return the file that the URL of a calibration stands for.
+    """Path of the calibration file that a URL names.
 
-    It is `file:///PATH` or `package://PACKAGE/PATH`, where `${NAME}` is the camera's name and
-    `${ROS_HOME}` the environment variable or `~/.ros`. Raises `InputError` if it is another kind
-    of URL, names another variable, or the package is not installed.
+    Parameters
+    ----------
+    url : str
+        `file:///PATH` or `package://PACKAGE/PATH`, where `${NAME}` is the camera's name and
+        `${ROS_HOME}` the environment variable or `~/.ros`.
+    camera_name : str
+
+    Raises
+    ------
+    InputError
+        If it is another kind of URL, names another variable, or the package is not installed.
     """
 
     def value_of(match: re.Match[str]) -> str:
@@ -41,51 +49,70 @@ def camera_info_path(url: str, camera_name: str) -> Path:
         return Path(rest)
     package, _, inside = rest.partition("/")
     if kind == "package" and package and inside:
-        return _share_of(package, url) / inside
+        return _package_share(package, url) / inside
     raise InputError(f"camera_info_url {url}: expected file:///PATH or package://PACKAGE/PATH")
 
 
-def _share_of(package: str, url: str) -> Path:
-    if package == "coded_aperture_ros":  # which also runs from where no index knows it
+def _package_share(package: str, url: str) -> Path:
+    if package == "coded_aperture_ros":  # also where it runs without being installed
         return share_directory()
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
 
     try:
         return Path(get_package_share_directory(package))
     except (PackageNotFoundError, ValueError, LookupError) as error:
-        raise InputError(f"camera_info_url {url}: no package {package} is installed") from error
+        raise InputError(f"camera_info_url {url}: package {package} is not installed") from error
 
 
 class CameraInfoStore:
     """Loads the camera model from its URL, and saves what a calibration program sends.
 
-    The node offers the service `set_camera_info`. An empty URL stands for that of
-    `camera_info_manager`, if there is such a file; `measured` is what was loaded, or set last.
-    Raises `InputError` if a URL was given and nothing can be loaded from it.
+    The node offers the service `set_camera_info`.
+
+    Parameters
+    ----------
+    node : Node
+    url : str
+        See `camera_info_path`; empty: that of `camera_info_manager`, if the file exists.
+    camera_name : str
+
+    Attributes
+    ----------
+    measured : Intrinsics or None
+        Model that was loaded, or set last.
+
+    Raises
+    ------
+    InputError
+        If a URL was given and nothing can be loaded from it.
     """
 
     def __init__(self, node: Node, url: str, camera_name: str) -> None:
-        self._node, self._name = node, camera_name
+        self._node = node
+        self._name = camera_name
         self._path = camera_info_path(url or DEFAULT_URL, camera_name)
         self.measured: Intrinsics | None = None
         self._frame_size: tuple[int, int] | None = None
         if url or self._path.is_file():
             self.measured = load_intrinsics(self._path)
-            node.get_logger().info(f"camera_info is that of {self._path}")
+            node.get_logger().info(f"camera_info loaded from {self._path}")
             if self.measured.camera_name != camera_name:
                 node.get_logger().warning(
-                    f"{self._path} is of camera {self.measured.camera_name!r}, "
-                    f"this one is {camera_name!r}"
+                    f"{self._path} is for camera {self.measured.camera_name!r}, "
+                    f"not {camera_name!r}: check camera_info_url and camera_name"
                 )
         self._service = node.create_service(SetCameraInfo, "set_camera_info", self._set)
 
-    def fitted(self, width: int, height: int) -> Intrinsics | None:
-        """Return the measured model for the frames, which are of this size; None without one.
+    def model_for(self, width: int, height: int) -> Intrinsics | None:
+        """Measured model scaled to frames of this size; None without one.
 
-        Raises `MessageError` of kind "size", where their proportions are not those of the model.
+        Raises
+        ------
+        MessageError
+            Of kind "size", if the model has other proportions than the frames.
         """
         self._frame_size = width, height
-        return self.measured and _fitted(self.measured, width, height)
+        return self.measured and _scaled_to(self.measured, width, height)
 
     def close(self) -> None:
         """End the service."""
@@ -93,26 +120,30 @@ class CameraInfoStore:
 
     def _set(self, request: Any, response: Any) -> Any:
         try:
-            measured = intrinsics_of(request.camera_info, self._name)
+            measured = intrinsics_from_info(request.camera_info, self._name)
             if self._frame_size is not None:
-                _fitted(measured, *self._frame_size)
+                _scaled_to(measured, *self._frame_size)
             measured.save(self._path)
         except InputError as error:
-            response.success, response.status_message = False, str(error)
+            response.success = False
+            response.status_message = str(error)
             self._node.get_logger().warning(f"set_camera_info refused: {error}")
             return response
         self.measured = measured
-        untold = "; no frame has come yet, so whether it has their proportions is not known"
+        unchecked = "; not compared with the frames: no frame has come yet"
         response.success = True
-        response.status_message = f"saved in {self._path}{'' if self._frame_size else untold}"
+        response.status_message = f"saved in {self._path}{'' if self._frame_size else unchecked}"
         self._node.get_logger().info(f"camera_info {response.status_message}")
         return response
 
 
-def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
-    """Return the model of a message.
+def intrinsics_from_info(info: CameraInfo, camera_name: str) -> Intrinsics:
+    """Intrinsics of a message.
 
-    Raises `InputError`, naming the value that no camera can have.
+    Raises
+    ------
+    InputError
+        If it has a value that no camera can have.
     """
     return Intrinsics(
         image_width=int(info.width),
@@ -126,7 +157,7 @@ def intrinsics_of(info: CameraInfo, camera_name: str) -> Intrinsics:
     )
 
 
-def _fitted(model: Intrinsics, width: int, height: int) -> Intrinsics:
+def _scaled_to(model: Intrinsics, width: int, height: int) -> Intrinsics:
     if not is_same_view((model.image_width, model.image_height), width, height):
         raise MessageError(
             "size",

@@ -1,4 +1,4 @@
-"""Which camera a frame was taken with: the camera file, or what the driver says."""
+"""Camera model of a frame: the driver's, or else the camera file's."""
 
 import math
 from collections.abc import Callable
@@ -12,14 +12,14 @@ from coded_aperture_ros.io.messages import view_from_camera_info
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
 
-# So many coefficients does a model of distortion have that OpenCV undoes.
-_COEFFICIENTS = (4, 5, 8, 12, 14)
-# A frame may wait for its depth for so many others.
-_KEPT = 200
+# Numbers of distortion coefficients that OpenCV has a model for.
+_COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
+# Models kept by their stamp: a frame may wait for its depth while so many others come.
+_KEPT_MODELS = 200
 
 
 def required_camera(path: str) -> Camera:
-    """Return the camera of the parameter `camera_file`; an `InputError` if it is not set."""
+    """Camera of the parameter `camera_file`; an `InputError` if it is empty or does not load."""
     if not path:
         raise InputError(
             "parameter camera_file is empty: set it, as in --ros-args -p camera_file:=camera.yaml"
@@ -28,10 +28,15 @@ def required_camera(path: str) -> Camera:
 
 
 class CameraModel:
-    """The camera model to publish: the driver's own if it sends one, else the camera file's.
+    """Camera model to publish: the driver's if it sends one, else the camera file's.
 
-    The driver's region of interest and binning, or else its proportions, say which part of its view
-    frames are. `reject` is told the kind and the fault of a model that no camera can have.
+    The driver's region of interest and binning, or else its proportions, say which part of the
+    camera's view the frames are.
+
+    Parameters
+    ----------
+    reject : callable
+        Called with kind and reason for a model that has a value that no camera can have.
     """
 
     def __init__(self, reject: Callable[[str, str], None] = lambda kind, reason: None) -> None:
@@ -40,30 +45,31 @@ class CameraModel:
         self._by_stamp: dict[int, CameraInfo] = {}
 
     def receive(self, info: CameraInfo) -> None:
-        """Remember a model from the driver; one without a calibration (K is 0) is ignored."""
+        """Keep a model from the driver; one without a calibration (K is 0) is ignored."""
         if info.k[0] == 0:
             return
         try:
             _check(info)
         except InputError as error:
-            going_on = "the one before it holds, or else the camera file"
-            self._reject("camera_info", f"camera_info: {error}; {going_on}")
+            used = "using the camera_info before it, or else the camera file"
+            self._reject("camera_info", f"camera_info: {error}; {used}")
             return
-        self._received, by_stamp = info, self._by_stamp
+        self._received = info
+        by_stamp = self._by_stamp
         if stamp := stamp_ns(info.header):
-            by_stamp.pop(stamp, None)  # one that comes again is the last to be forgotten
+            by_stamp.pop(stamp, None)  # a repeated one moves to the end: it is dropped last
             by_stamp[stamp] = info
-        if len(by_stamp) > _KEPT:
+        if len(by_stamp) > _KEPT_MODELS:
             del by_stamp[next(iter(by_stamp))]
 
     def forget_stamps(self) -> None:
-        """Keep the newest model alone: the same stamps come again where time has gone back."""
+        """Keep the newest model only: stamps repeat after the clock has jumped back."""
         self._by_stamp = {}
 
     def at(self, header: Header) -> "CameraModel":
-        """Return the model for all that is made of one frame: what comes later does not change it.
+        """Model for all outputs of one frame, which later messages do not change.
 
-        It is the one with the frame's stamp, or the newest where that has not come.
+        It is the one with the frame's stamp, or else the newest.
         """
         model = CameraModel()
         model._received = self._by_stamp.get(stamp_ns(header), self._received)
@@ -76,25 +82,26 @@ class CameraModel:
         output_size: tuple[int, int],
         header: Header,
     ) -> CameraInfo:
-        """Return the model of what was made of a frame; sizes are (height, width)."""
+        """Camera model of an output of a frame; sizes are (height, width), pixels."""
         info = self._received
         if info is None or self._view(camera, frame_size) is None:
             info = camera_info_from_camera(camera, header)
         return scaled_camera_info(info, output_size[1], output_size[0], header)
 
     def complaint(self, camera: Camera, frame_size: tuple[int, int]) -> str:
-        """Say why the driver's model cannot be that of frames (height, width); empty if it can."""
-        info, (height, width) = self._received, frame_size
+        """Reason why the driver's model cannot be that of the frames (height, width), or ""."""
+        info = self._received
+        height, width = frame_size
         if info is None or self._view(camera, frame_size) is not None:
             return ""
         size = f"{info.roi.width or info.width}x{info.roi.height or info.height}"
         return (
             f"camera_info is for {size}, which does not have the proportions "
-            f"of the {width}x{height} frames: that of the camera file is published"
+            f"of the {width}x{height} frames: publishing that of the camera file"
         )
 
     def view(self, camera: Camera, frame_size: tuple[int, int]) -> View:
-        """Return which part of the camera's view frames (height, width) show."""
+        """Part of the camera's view that frames (height, width) show."""
         return self._view(camera, frame_size) or View.whole(frame_size[1], frame_size[0])
 
     def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
@@ -103,15 +110,15 @@ class CameraModel:
 
 
 def _check(info: CameraInfo) -> None:
-    """Refuse a driver's model with a value that no camera can have, by an `InputError`.
+    """Raise an `InputError` if a driver's model has a value that no camera can have.
 
-    Its distortion may have any name: OpenCV goes by the number of coefficients, and the region and
-    the binning hold whatever it is.
+    The name of its distortion model does not matter: OpenCV goes by the number of coefficients, and
+    region and binning do not depend on it.
     """
     if not (info.width and info.height):
-        raise InputError("width or height is 0: the driver has to say the size of its pictures")
+        raise InputError("width or height is 0: set the size of the pictures in the driver")
     if not all(map(math.isfinite, (*info.k, *info.d))) or min(info.k[0], info.k[4]) <= 0:
         raise InputError("expected finite K and D, with focal lengths above 0: calibrate again")
-    counts = (4,) if info.distortion_model == "equidistant" else _COEFFICIENTS
+    counts = (4,) if info.distortion_model == "equidistant" else _COEFFICIENT_COUNTS
     if any(info.d) and len(info.d) not in counts:
-        raise InputError(f"D has {len(info.d)} coefficients, as no lens model has: calibrate again")
+        raise InputError(f"D has {len(info.d)} coefficients, no lens model has: calibrate again")

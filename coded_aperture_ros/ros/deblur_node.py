@@ -1,4 +1,4 @@
-"""The node that turns coded frames and their depth into all-in-focus frames."""
+"""Node that turns coded frames and their depth into all-in-focus pictures."""
 
 import dataclasses
 import math
@@ -29,14 +29,15 @@ from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
 from coded_aperture_ros.ros.pairing import StampPairs
 
-# Frames to keep while depth_node works on them. Those that come meanwhile must not push out the one
-# in work, however fast they come: there would never be a pair. Two seconds at 100 Hz.
+# Frames kept while depth_node works on them: two seconds at 100 Hz. With fewer, a fast camera would
+# push out the frame in work before its depth comes, and there would never be a pair.
 _WAITING_FRAMES = 200
+# Bytes that they take up at most.
 _WAITING_BYTES = 256 * 2**20
 
 
 class DeblurNode(FrameNode[tuple[Image, Image]]):
-    """Pairs each coded frame with its own depth image and publishes the frame all in focus."""
+    """Pairs each coded frame with its depth image and publishes the all-in-focus picture."""
 
     def __init__(self, **node_options: Any) -> None:
         self.outputs = {
@@ -59,36 +60,36 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self.begin()
 
     def load(self) -> None:
-        """Load the camera file, and the bank if there is one, and prepare the deblurring."""
+        """Load the camera file and the bank, if any, and prepare the inverse filters."""
         self._range = self.configs[ModelConfig]
         self._model: FrameModel[FilterBank | RenderedLevels] = FrameModel(
             self, self.configs, blur_levels
         )
-        model, camera = self._model.model, self._model.whole
-        self._pipeline = FramePipeline(model, camera, deblur=self.configs[DeblurConfig])
+        camera = self._model.whole
+        self._pipeline = FramePipeline(self._model.model, camera, deblur=self.configs[DeblurConfig])
         self._pipeline.prepare_deblurring((camera.image_height, camera.image_width))
 
     def unload(self) -> None:
-        """End the pipeline's threads."""
+        """End the threads of the pipeline."""
         pipeline, self._pipeline = self._pipeline, None
         if pipeline is not None:
             pipeline.close()
 
     def identity(self) -> dict[str, str]:
-        """Return which camera and bank the node works with."""
+        """Keys and values of /diagnostics: camera file and bank."""
         return self._model.identity()
 
     def restart(self) -> None:
-        """Forget the frames so far, and those that wait for their depth."""
+        """Start a new video with the next frame; drop frames that wait for their depth."""
         super().restart()
         self._arriving.forget()
         self._pairs.clear()
         self._restarting.set()
 
-    def _on_image(self, message: Image, _: float) -> None:
+    def _on_image(self, message: Image, _compression_loss: float) -> None:
         self.statistics.count_received()
         if self._arriving.follow(stamp_ns(message.header)) == "restart":
-            # The same stamps may come again, and frames from before are not theirs.
+            # The same stamps may come again: depth must not be paired with frames from before.
             self._pairs.clear()
         self.offer(self._pairs.add(True, stamp_ns(message.header), message))
 
@@ -96,13 +97,13 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         self.offer(self._pairs.add(False, stamp_ns(message.header), message))
 
     def process(self, item: tuple[Image, Image]) -> None:
-        """Deblur and publish one frame."""
+        """Deblur a frame with its depth and publish the picture."""
         image, depth = item
         header = image.header
         pixel_format = self.frame_config.pixel_format
         frame = frame_from_image(image, pixel_format, colour=True, stamp_ns=stamp_ns(header))
         depth_m = depth_of_frame(depth, image)
-        # Beyond the range is deblurred as the end of the range; NaN stays unknown.
+        # Depth beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
         if not np.isfinite(depth_m).any():
             raise MessageError("depth", "no depth is known in the whole frame")
@@ -120,7 +121,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             self.reject("camera_info", complaint)
         info = driver.info(camera, frame.shape, frame.shape, header)
         self.send("deblurred/camera_info", info)
-        self.sent(header)
+        self.finish_frame(header)
 
     def _send_picture(self, sharp: FloatArray, encoding: str, header: Header) -> None:
         compressed = self.wants("deblurred/image/compressed")
@@ -137,11 +138,12 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
             self.reject(error.kind, str(error))
 
     def _present_pipeline(self) -> FramePipeline:
-        """Pipeline for the present PSFs and parameters."""
+        """Pipeline with the present camera, PSFs and parameters."""
         pipeline = self._pipeline
         if pipeline is None:  # cleaned up while this frame was in work
             raise InputError("the node is being cleaned up")
-        model, camera = self._model.model, self._model.whole
+        model = self._model.model
+        camera = self._model.whole
         if model is not pipeline.model or camera != pipeline.camera:
             pipeline.reconfigure(model=model, camera=camera)
             pipeline.prepare_deblurring((camera.image_height, camera.image_width))
@@ -153,12 +155,22 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 
 
 def depth_of_frame(depth: Image, image: Image) -> FloatArray:
-    """Return the depth image of a frame in metres, NaN where it says nothing.
+    """Depth map of a frame, metres, NaN where unknown; float32 [rows, columns].
 
-    Raises `MessageError` if it cannot be the depth of that frame.
+    Parameters
+    ----------
+    depth : Image
+        Message of encoding 32FC1, metres; 0 and NaN are unknown, -Inf is nearer than the range.
+    image : Image
+        Coded frame.
+
+    Raises
+    ------
+    MessageError
+        If `depth` cannot be the depth of that frame.
     """
     if stamp_ns(image.header) == 0:
-        raise MessageError("stamp", "the frame has no stamp, so its depth cannot be told apart")
+        raise MessageError("stamp", "the frame has no stamp: its depth cannot be found")
     if depth.encoding != "32FC1":
         raise MessageError("depth", f"depth/image is {depth.encoding}, expected 32FC1")
     if not covers_frame((depth.height, depth.width), (image.height, image.width)):
@@ -168,5 +180,5 @@ def depth_of_frame(depth: Image, image: Image) -> FloatArray:
             f"{image.width}x{image.height} frame",
         )
     depth_m = array_from_image(depth)
-    # Some drivers say 0 where depth is unknown; -Inf is too near.
+    # Some drivers write 0 where depth is unknown; -Inf is too near.
     return np.where((depth_m > 0) | (depth_m == -np.inf), depth_m, np.float32(np.nan))

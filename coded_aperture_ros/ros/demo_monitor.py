@@ -1,4 +1,4 @@
-"""The demo's onlooker: measures what the other nodes publish, as any subscriber would."""
+"""Measurements of the demo: what the other nodes publish, as any subscriber receives it."""
 
 import threading
 import time
@@ -16,22 +16,27 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.io.messages import array_from_image, frame_from_image
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
 from coded_aperture_ros.ros.messages import stamp_ns
-from coded_aperture_ros.ros.running import running_apart
+from coded_aperture_ros.ros.running import node_in_thread
 
-CODED, DEBLURRED = "image_raw", "deblurred/image"
-DEPTH, CONFIDENCE = "depth/image", "depth/confidence"
-TRUE_DEPTH, TRUE_IMAGE = "ground_truth/depth", "ground_truth/image"
+CODED = "image_raw"
+DEBLURRED = "deblurred/image"
+DEPTH = "depth/image"
+CONFIDENCE = "depth/confidence"
+TRUE_DEPTH = "ground_truth/depth"
+TRUE_IMAGE = "ground_truth/image"
 _MEASURED = (CODED, DEPTH, DEBLURRED)
 _PICTURES = (CODED, DEBLURRED, TRUE_IMAGE)
 _MAPS = (DEPTH, CONFIDENCE, TRUE_DEPTH)
-# Frames to keep until the last of their results has come.
+# Frames kept until the last of their results has come.
 _KEPT_FRAMES = 60
-# The first frames find nodes that are not ready yet.
+# Results before which nodes do not count as ready: they may still drop the first frames.
 _FIRST_FRAMES = 3
+# Errors kept, of the newest depth images.
+_KEPT_ERRORS = 2000
 
 
 class DemoMonitor(Node):
-    """Subscribes to everything, counts, and compares with the simulator's truth."""
+    """Subscribes to all topics, counts results, and compares depth with the ground truth."""
 
     def __init__(self, context: Context, reliable: bool) -> None:
         super().__init__("demo_monitor", context=context)
@@ -40,7 +45,7 @@ class DemoMonitor(Node):
         self._lock = threading.Lock()
         self._arrivals: dict[str, list[tuple[float, float]]] = {topic: [] for topic in _MEASURED}
         self._frames: dict[int, dict[str, Image]] = {}
-        self._errors: deque[DepthError] = deque(maxlen=2000)
+        self._errors: deque[DepthError] = deque(maxlen=_KEPT_ERRORS)
         self._reported: dict[str, dict[str, str]] = {}
         self._before: dict[str, dict[str, str]] = {}
         self._begun_s = time.monotonic()
@@ -49,7 +54,7 @@ class DemoMonitor(Node):
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def begin(self) -> None:
-        """Begin the measurement: forget what was received until now."""
+        """Start the measurement: forget what was received until now."""
         with self._lock:
             self._begun_s = time.monotonic()
             for arrivals in self._arrivals.values():
@@ -58,12 +63,12 @@ class DemoMonitor(Node):
             self._before = {node: dict(values) for node, values in self._reported.items()}
 
     def has_results(self) -> bool:
-        """Return whether all nodes work: some results of each have come since `begin`."""
+        """Whether some results of each node have come since `begin`."""
         with self._lock:
             return all(len(self._arrivals[topic]) >= _FIRST_FRAMES for topic in (DEPTH, DEBLURRED))
 
     def arrivals(self, topic: str) -> list[tuple[float, float]]:
-        """Return when each message of a measured topic came, s from `begin`, and its latency, s.
+        """Time of each message of a measured topic, s from `begin`, and its latency, s.
 
         Latencies are from the stamp to the reception.
         """
@@ -71,12 +76,12 @@ class DemoMonitor(Node):
             return [(at_s - self._begun_s, latency_s) for at_s, latency_s in self._arrivals[topic]]
 
     def depth_errors(self) -> list[DepthError]:
-        """Return the errors of the depth images compared since `begin`."""
+        """Errors of the depth images since `begin`."""
         with self._lock:
             return list(self._errors)
 
     def count(self, node: str, key: str) -> int:
-        """Return a count from a node's diagnostics since `begin`."""
+        """Increase of a counter in a node's diagnostics since `begin`."""
         with self._lock:
             now, before = (of.get(node, {}).get(key, 0) for of in (self._reported, self._before))
         return int(now) - int(before)
@@ -86,7 +91,7 @@ class DemoMonitor(Node):
         self._subscribe(TRUE_IMAGE)
 
     def snapshot(self) -> dict[str, FloatArray] | None:
-        """Return the newest frame of which everything has been received: arrays by their topics."""
+        """Newest complete frame, as arrays by their topics; None before the first."""
         wanted = {*_PICTURES, *_MAPS}
         with self._lock:
             complete = [frame for frame in self._frames.values() if wanted <= frame.keys()]
@@ -114,7 +119,7 @@ class DemoMonitor(Node):
             self._forget_frames(stamp, topic)
             if topic not in (DEPTH, CONFIDENCE) or not {*_MAPS} <= frame.keys():
                 return
-        error = error_of(*(array_from_image(frame[topic]) for topic in _MAPS))
+        error = map_error(*(array_from_image(frame[topic]) for topic in _MAPS))
         with self._lock:
             self._errors.append(error)
 
@@ -133,11 +138,11 @@ class DemoMonitor(Node):
                 self._reported[node] = {pair.key: pair.value for pair in status.values}
 
 
-def error_of(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
-    """Return the error of a depth map, which may be of another size than the truth."""
+def map_error(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatArray) -> DepthError:
+    """Error of a depth map, m [rows, columns], whose size may differ from the ground truth's."""
     return depth_error(depth_m, confidence, resize_reference(true_depth_m, depth_m.shape))
 
 
 def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:
-    """Run a monitor in a thread; one that is reliable asks for lost images again."""
-    return running_apart(lambda context: DemoMonitor(context, reliable), "monitor")
+    """Run a monitor in a thread; with `reliable`, lost images are sent again."""
+    return node_in_thread(lambda context: DemoMonitor(context, reliable), "monitor")

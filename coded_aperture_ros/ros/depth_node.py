@@ -1,4 +1,4 @@
-"""The node that turns coded frames into metric depth."""
+"""Node that turns coded frames into metric depth."""
 
 import dataclasses
 import functools
@@ -74,7 +74,7 @@ _CORE_TOPICS = {
 
 @dataclasses.dataclass(frozen=True)
 class DepthNodeConfig:
-    """What the node needs beside the model and the options of the estimator."""
+    """Options of the node beside those of the model and of the estimator."""
 
     output_size: str = option(
         "full",
@@ -124,7 +124,10 @@ def _output_types() -> dict[str, type]:
 
 
 class DepthNode(FrameNode[tuple[Image, float]]):
-    """Publishes depth of coded frames, its confidence, the layers, and the camera model."""
+    """Publishes depth of coded frames, its confidence, the layers, and the camera model.
+
+    A work item is a frame and its compression loss.
+    """
 
     def __init__(self, **node_options: Any) -> None:
         self.outputs = _output_types()
@@ -141,7 +144,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if warning := slow_blas_warning():
             self.get_logger().warning(warning)
         self._gyro = Gyro()
-        self._searched = ""
+        self._motion_note = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
@@ -156,7 +159,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
         configs = self.configs
-        self._range, method = configs[ModelConfig], configs[DepthNodeConfig].method
+        method = configs[DepthNodeConfig].method
+        self._range = configs[ModelConfig]
         if method == "two_pixel" and self._range.bank:
             raise InputError("method: two_pixel has no bank: leave the parameter bank empty")
         make = functools.partial(
@@ -167,34 +171,34 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             motion=configs[MotionConfig],
         )
         self._model: FrameModel[LikelihoodModel] = FrameModel(self, configs, make)
-        model, camera = self._model.model, self._model.camera
+        model = self._model.model
         if note := refinement_note(model, configs[DepthConfig]):
             self.get_logger().info(note)
         if warning := side_warning(model):
             self.get_logger().warning(warning)
-        self._pipeline = FramePipeline(model, camera, configs[DepthConfig], deblur=None)
+        self._pipeline = FramePipeline(model, self._model.camera, configs[DepthConfig], deblur=None)
 
     def unload(self) -> None:
-        """End the pipeline's threads."""
+        """End the threads of the pipeline."""
         pipeline, self._pipeline = self._pipeline, None
         if pipeline is not None:
             pipeline.close()
 
     def restart(self) -> None:
-        """Begin another video with the next frame."""
+        """Start a new video with the next frame."""
         super().restart()
         self._restarting.set()
         self._gyro.forget()
 
     def identity(self) -> dict[str, str]:
-        """Return which camera and bank the node works with."""
+        """Keys and values of /diagnostics: camera file, bank, and why the motion is not known."""
         identity = self._model.identity()
         if self._finds_motion:
-            identity["motion"] = self._searched and f"all motions tried: {self._searched}"
+            identity["motion"] = self._motion_note and f"all motions tried: {self._motion_note}"
         return identity
 
     def process(self, item: tuple[Image, float]) -> None:
-        """Estimate and publish the depth of a frame; with it comes what compression has lost."""
+        """Estimate and publish the depth of a frame."""
         image, compression_loss = item
         header = image.header
         driver = self.driver_info.at(header)
@@ -209,12 +213,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             raise InputError("the bank and the camera file give no depth")
         depth_m = limit_depth(estimate.depth_m, *self._ends_m)
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
-        self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
-        self._send_depth(
-            "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
-        )
-        self._send_map("depth/confidence", estimate.confidence, header)
-        self._send_map("depth/std_dev", std_dev_m, header)
+        self._send_maps(estimate, depth_m, std_dev_m, header)
         self._send_layers(estimate, header)
         if complaint := driver.complaint(self._model.whole, shape):
             self.reject("camera_info", complaint)
@@ -222,18 +221,18 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self.send("depth/camera_info", info)
         self._send_points(frame, estimate, (depth_m, std_dev_m), info)
         figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
-        self.sent(header, estimate.seconds, figures, misfit)
+        self.finish_frame(header, estimate.seconds, figures, misfit)
 
     def _frame(self, image: Image, compression_loss: float, driver: CameraModel) -> Frame:
-        """Frame of a message; the model is made that of its view."""
+        """Frame of a message, with its view and expected motion; fits the model to the view."""
         header = image.header
         frame = frame_from_image(
             image, self.frame_config.pixel_format, compression_loss, stamp_ns=stamp_ns(header)
         )
         if frame.compression_noise:
             self.get_logger().warning(
-                "frames are compressed: their noise is taken to be about "
-                f"{frame.compression_noise:.4f} at least",
+                "frames are lossily compressed: at least "
+                f"{frame.compression_noise:.4f} of noise is assumed",
                 once=True,
             )
         view = driver.view(self._model.whole, frame.shape)
@@ -246,8 +245,29 @@ class DepthNode(FrameNode[tuple[Image, float]]):
 
     @property
     def _ends_m(self) -> tuple[float, float]:
-        """Nearest and farthest depth that are published as such."""
+        """Nearest and farthest depth that are published as numbers, m."""
         return self._range.near_m, self._range.far_m or math.inf
+
+    def _send_maps(
+        self, estimate: DepthEstimate, depth_m: FloatArray, std_dev_m: FloatArray, header: Header
+    ) -> None:
+        """Publish the core results: depth, confidence and standard deviation."""
+        self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
+        self._send_depth(
+            "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
+        )
+        self._send_map("depth/confidence", estimate.confidence, header)
+        self._send_map("depth/std_dev", std_dev_m, header)
+
+    def _send_depth(
+        self, topic: str, depth: Callable[[], NDArray[Any]], encoding: str, header: Header
+    ) -> None:
+        """Publish a depth image, raw and compressed; it is only made where one is wanted."""
+        if self.wants(topic):
+            self.send(topic, image_from_array(depth(), encoding, header))
+        if self.wants(compressed := f"{topic}/compressedDepth"):
+            content = compressed_depth(depth(), self.configs[DepthNodeConfig].compressed_depth)
+            self.send(compressed, compressed_message(content, header))
 
     def _send_map(self, topic: str, values: FloatArray, header: Header) -> None:
         if self.wants(topic):
@@ -261,7 +281,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
                 values = limit_layer(layer.values, spec.kind, *self._ends_m)
                 self.send(spec.topic, image_from_array(values, spec.encoding, header))
         motion = estimate.layers.get("motion")
-        self._searched = "" if motion is None else motion.note
+        self._motion_note = "" if motion is None else motion.note
 
     def _send_points(
         self,
@@ -281,19 +301,22 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if not wanted:
             return
         size = depth_m.shape
-        through = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-        small = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
-        colours = pixels_from_frame(small, "rgb8", self.frame_config.gamma)
-        ends = self._range.near_m, self.configs[DepthNodeConfig].points_far_m
+        rays = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
+        light = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
+        colours = pixels_from_frame(light, "rgb8", self.frame_config.gamma)
+        near_m = self._range.near_m
+        far_m = self.configs[DepthNodeConfig].points_far_m
         for topic in wanted:
-            maps = clouds[topic], estimate.confidence, std_dev_m, colours, through
-            self.send(topic, cloud_from_points(points_of_depth(*maps, *ends), info.header))
+            points = points_of_depth(
+                clouds[topic], estimate.confidence, std_dev_m, colours, rays, near_m, far_m
+            )
+            self.send(topic, cloud_from_points(points, info.header))
 
     def _figures(
         self, estimate: DepthEstimate, measured_m: FloatArray, depth_m: FloatArray
     ) -> tuple[dict[str, float], Complaint | None]:
-        """Figures of a frame for diagnostics, and what is wrong with it."""
-        # What is a little nearer than the range is measured all the same.
+        """Figures of a frame for diagnostics, and the complaint about it, if any."""
+        # Depths a little nearer than the range are published as -Inf, but were measured.
         seen_m = np.where(depth_m == -np.inf, measured_m, depth_m)
         share = self.configs[DepthNodeConfig].obstacle_share
         figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, share)}
@@ -303,38 +326,29 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         figures["health"] = health.value
         if health.fits:
             return figures, None
-        given = "little depth is sure"
-        if health.withheld:  # a guess may be asked for all the same (confidence.unknown)
+        outcome = "little depth is sure"
+        if health.withheld:  # confidence.unknown may fill the map with guesses all the same
             guessed = not np.isnan(depth_m).all()
-            given = "the depth given is a guess" if guessed else "no depth is given"
-        return figures, Complaint(f"{given}, the frame {health}", health.withheld)
+            outcome = "the depth given is a guess" if guessed else "no depth is given"
+        return figures, Complaint(f"{outcome}, the frame {health}", health.withheld)
 
-    def _send_depth(
-        self, topic: str, depth: Callable[[], NDArray[Any]], encoding: str, header: Header
-    ) -> None:
-        if self.wants(topic):
-            self.send(topic, image_from_array(depth(), encoding, header))
-        if self.wants(compressed := f"{topic}/compressedDepth"):
-            content = compressed_depth(depth(), self.configs[DepthNodeConfig].compressed_depth)
-            self.send(compressed, compressed_message(content, header))
-
-    def _on_image(self, message: Image, lost: float) -> None:
+    def _on_image(self, message: Image, compression_loss: float) -> None:
         self.statistics.count_received()
-        self.offer((message, lost))
+        self.offer((message, compression_loss))
 
     def _present_pipeline(self) -> FramePipeline:
-        """Return the pipeline, brought up to date with the camera, the bank and the parameters."""
+        """Pipeline with the present camera, bank and parameters."""
         pipeline = self._pipeline
         if pipeline is None:  # cleaned up while this frame was in work
             raise InputError("the node is being cleaned up")
         motion = self.configs[MotionConfig]
         self._model.change(lambda model: with_motion_config(model, motion))
-        model, camera = self._model.model, self._model.whole
         # OpenCV runs the network, which is too much for the one thread of `limit_libraries`.
         depth = self.configs[DepthConfig]
-        if cv2.getNumThreads() != (threads := thread_count(depth.threads)):
+        threads = thread_count(depth.threads)
+        if cv2.getNumThreads() != threads:
             cv2.setNumThreads(threads)
-        pipeline.reconfigure(model=model, camera=camera, depth=depth)
+        pipeline.reconfigure(model=self._model.model, camera=self._model.whole, depth=depth)
         if self._restarting.is_set():
             self._restarting.clear()
             pipeline.reset()

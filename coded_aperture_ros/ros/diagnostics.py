@@ -1,4 +1,4 @@
-"""What a node tells about itself on /diagnostics: rate, latency, dropped and rejected frames."""
+"""Status of a node on /diagnostics: rate, latency, dropped and rejected frames."""
 
 import threading
 import time
@@ -16,14 +16,15 @@ from rclpy.qos import QoSProfile
 
 from coded_aperture_ros.core.options import option
 
+# Rates and latencies are of so long.
 _WINDOW_S = 10.0
-# A latency beyond this is not one: the stamp comes from another clock than ours.
+# A larger latency is not plausible: the stamp comes from another clock than the node's.
 _PLAUSIBLE_LATENCY_S = 3600.0
 
 
 @dataclass(frozen=True)
 class DiagnosticsConfig:
-    """From when on /diagnostics warns."""
+    """Limits beyond which /diagnostics warns."""
 
     parameter_group = "diagnostics."
     warn_latency_ms: float = option(
@@ -34,7 +35,7 @@ class DiagnosticsConfig:
     )
     warn_rate_hz: float = option(
         0.0,
-        "Warn if fewer frames than this are worked on per second; 0: never",
+        "Warn if fewer frames than this are processed per second; 0: never",
         unit="Hz",
         within=(0.0, 10_000.0),
     )
@@ -47,9 +48,14 @@ class DiagnosticsConfig:
 
 @dataclass(frozen=True)
 class Complaint:
-    """What is wrong with the last frame though it could be worked on.
+    """Fault of the last frame, which could be processed all the same.
 
-    `serious`: nothing that was made of it may be relied on.
+    Attributes
+    ----------
+    text : str
+        What is wrong.
+    serious : bool
+        Whether no result of the frame can be relied on.
     """
 
     text: str
@@ -58,10 +64,28 @@ class Complaint:
 
 @dataclass(frozen=True)
 class Summary:
-    """The state of a node's work at one moment; latencies and rate over the last 10 s.
+    """State of a node's work at one moment; rate and durations are of the last 10 s.
 
-    `figures` and `complaint` are of the last frame, and go where that is longer ago; so does
-    `last_error` where there have been results since. `idle_s` counts from the last frame that came.
+    Attributes
+    ----------
+    received, processed : int
+        Frames.
+    dropped_by, rejected : dict of str to int
+        Dropped frames by cause, and unusable messages by kind of fault.
+    rate_hz : float
+        Processed frames per second.
+    latency_s, work_s : (float, float, float) or None
+        Median, 99th percentile and maximum of the time from stamp to result, and of the work.
+    stages_s : dict of str to (float, float, float) or None
+        The same of each stage.
+    figures : dict of str to float
+        Of the last frame; empty after 10 s without one.
+    last_error : str
+        Empty once there have been 10 s of results without an error.
+    complaint : Complaint or None
+        About the last frame; None after 10 s without one.
+    idle_s : float or None
+        Time since the last frame arrived; None before the first.
     """
 
     received: int
@@ -69,7 +93,7 @@ class Summary:
     dropped_by: dict[str, int]
     rejected: dict[str, int]
     rate_hz: float
-    latency_s: tuple[float, float, float] | None  # median, 99th percentile, maximum
+    latency_s: tuple[float, float, float] | None
     work_s: tuple[float, float, float] | None
     stages_s: dict[str, tuple[float, float, float] | None] = field(default_factory=dict)
     figures: dict[str, float] = field(default_factory=dict)
@@ -79,17 +103,23 @@ class Summary:
 
     @property
     def dropped(self) -> int:
-        """Return the number of frames that were given up, for whatever cause."""
+        """Number of dropped frames, whatever the cause."""
         return sum(self.dropped_by.values())
 
     @property
     def rejected_total(self) -> int:
-        """Return the number of messages of all kinds that could not be used."""
+        """Number of unusable messages, whatever the fault."""
         return sum(self.rejected.values())
 
 
 class Statistics:
-    """Counts of one node's work, by a clock in seconds; safe to use from several threads."""
+    """Counters of one node's work; safe to use from several threads.
+
+    Parameters
+    ----------
+    now : callable
+        Clock, seconds.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
@@ -98,11 +128,11 @@ class Statistics:
         self._processed = 0
         self._dropped: Counter[str] = Counter()
         self._rejected: Counter[str] = Counter()
-        # When each frame was done, its latency, the time spent on it and that of its stages.
+        # Of each frame: time when it was done, latency, time of the work, time of its stages.
         self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque()
         self._started_s: float | None = None
-        self._came_s: float | None = None
-        self._failed_s = 0.0
+        self._received_s: float | None = None
+        self._rejected_s = 0.0
         self._figures: Mapping[str, float] = {}
         self._complaint: Complaint | None = None
         self._last_error = ""
@@ -111,20 +141,21 @@ class Statistics:
         """Count a frame that arrived."""
         with self._lock:
             self._received += 1
-            self._came_s = self._now()
+            self._received_s = self._now()
             if self._started_s is None:
-                self._started_s = self._came_s
+                self._started_s = self._received_s
 
     def count_dropped(self, cause: str) -> None:
-        """Count a frame that was not worked on though nothing was wrong with it."""
+        """Count a good frame that was not processed, by cause (busy, max_rate, no_depth)."""
         with self._lock:
             self._dropped[cause] += 1
 
     def count_rejected(self, kind: str, reason: str = "") -> None:
-        """Count a message that cannot be used, by the kind of its fault; remember the reason."""
+        """Count an unusable message, by the kind of its fault, and keep the reason."""
         with self._lock:
             self._rejected[kind] += 1
-            self._last_error, self._failed_s = reason or kind, self._now()
+            self._last_error = reason or kind
+            self._rejected_s = self._now()
 
     def count_processed(
         self,
@@ -136,44 +167,55 @@ class Statistics:
     ) -> None:
         """Count a frame whose last result has been published.
 
-        `latency_s` counts from its stamp, None if that is not of this clock; `work_s` from taking
-        it up; `stages_s` is the time of each stage, `figures` what else to tell, with units.
+        Parameters
+        ----------
+        latency_s : float or None
+            Time since its stamp; None if the stamp is of another clock.
+        work_s : float
+            Time since the work on it began.
+        stages_s : mapping of str to float, optional
+            Time of each stage.
+        figures : mapping of str to float, optional
+            Further values for /diagnostics, by names that end in their unit.
+        complaint : Complaint, optional
         """
         if latency_s is not None and not 0.0 <= latency_s <= _PLAUSIBLE_LATENCY_S:
             latency_s = None
         with self._lock:
             self._processed += 1
-            self._figures, self._complaint = figures or {}, complaint
+            self._figures = figures or {}
+            self._complaint = complaint
             self._recent.append((self._now(), latency_s, work_s, stages_s or {}))
             while self._recent[0][0] <= self._recent[-1][0] - _WINDOW_S:
                 self._recent.popleft()
 
     def summary(self) -> Summary:
-        """Return the counts so far and the figures of the last seconds."""
+        """Counts since the start, and rate and durations of the last 10 s."""
         with self._lock:
             now = self._now()
             recent = [entry for entry in self._recent if entry[0] > now - _WINDOW_S]
             running_s = 0.0 if self._started_s is None else now - self._started_s
             span_s = min(_WINDOW_S, max(running_s, 1.0))
-            recovered = recent and now - self._failed_s > _WINDOW_S
+            recovered = recent and now - self._rejected_s > _WINDOW_S
+            latencies_s = [latency for _, latency, _, _ in recent if latency is not None]
             return Summary(
-                self._received,
-                self._processed,
-                dict(self._dropped),
-                dict(self._rejected),
-                len(recent) / span_s,
-                percentiles([latency for _, latency, _, _ in recent if latency is not None]),
-                percentiles([work for _, _, work, _ in recent]),
-                _by_stage([stages for _, _, _, stages in recent]),
-                dict(self._figures) if recent else {},
-                "" if recovered else self._last_error,
-                self._complaint if recent else None,
-                None if self._came_s is None else now - self._came_s,
+                received=self._received,
+                processed=self._processed,
+                dropped_by=dict(self._dropped),
+                rejected=dict(self._rejected),
+                rate_hz=len(recent) / span_s,
+                latency_s=percentiles(latencies_s),
+                work_s=percentiles([work for _, _, work, _ in recent]),
+                stages_s=_by_stage([stages for _, _, _, stages in recent]),
+                figures=dict(self._figures) if recent else {},
+                last_error="" if recovered else self._last_error,
+                complaint=self._complaint if recent else None,
+                idle_s=None if self._received_s is None else now - self._received_s,
             )
 
 
-def camera_of(node: Node) -> str:
-    """Return the name of the camera that a node works for: its namespace, unless it has none."""
+def camera_name(node: Node) -> str:
+    """Name of the camera that a node belongs to: the end of its namespace, or `camera`."""
     return node.get_namespace().rpartition("/")[2] or "camera"
 
 
@@ -183,7 +225,7 @@ def _by_stage(frames: list[Mapping[str, float]]) -> dict[str, tuple[float, float
 
 
 def percentiles(values: list[float]) -> tuple[float, float, float] | None:
-    """Return the median, the 99th percentile and the maximum; None of nothing."""
+    """Median, 99th percentile and maximum; None if there are no values."""
     if not values:
         return None
     median, high = np.percentile(values, (50, 99))
@@ -201,11 +243,23 @@ def status_of(
     active: bool = True,
     identity: Mapping[str, str] = MappingProxyType({}),
 ) -> DiagnosticStatus:
-    """Return the diagnostic status of a node, called `name` with its namespace.
+    """Diagnostic status of a node.
 
-    `last` is the summary when the status was told before, `hardware_id` the camera that the frames
-    come from; `waiting` says that the node listens for frames, `active` that it has been
-    activated, and `identity` what it works with.
+    Parameters
+    ----------
+    name : str
+        Of the node, with its namespace.
+    summary, last : Summary
+        Now, and when the status was published before.
+    config : DiagnosticsConfig
+    hardware_id : str
+        Camera that the frames come from.
+    waiting : bool
+        Whether the node is subscribed to frames.
+    active : bool
+        Whether the node has been activated.
+    identity : mapping of str to str
+        Files that it uses.
     """
     status = DiagnosticStatus(name=f"{name.lstrip('/')}: frames", hardware_id=hardware_id)
     status.message = f"{summary.rate_hz:.1f} frames/s" if active else "not active"
@@ -246,31 +300,40 @@ def _warnings(
     if summary.complaint is not None:
         yield summary.complaint.text
     if rejected:
-        yield f"{rejected} unusable message(s) in the last second"
+        yield f"{rejected} unusable message(s) in the last second, see last_error"
     if waiting and not received:
         age = "" if summary.idle_s is None else f": none for {summary.idle_s:.0f} s"
         yield f"waiting for frames{age}"
     elif received and last.received and summary.rate_hz == 0:
-        yield "frames come in, no results go out"
+        yield "frames arrive, but no results are published"
     elif received and summary.rate_hz < config.warn_rate_hz:
-        yield f"{summary.rate_hz:.1f} frames/s, fewer than {config.warn_rate_hz:g}"
+        yield f"{summary.rate_hz:.1f} frames/s, less than {config.warn_rate_hz:g}"
     if received and dropped > config.warn_dropped_share * received:
         yield f"{dropped} of {received} frames dropped"
     late_ms = summary.latency_s[1] * 1000 if summary.latency_s else 0.0
     if config.warn_latency_ms and late_ms > config.warn_latency_ms:
-        yield f"latency {late_ms:.0f} ms, more than {config.warn_latency_ms:g}"
+        yield f"latency {late_ms:.0f} ms, more than {config.warn_latency_ms:g} ms"
 
 
 class DiagnosticsPublisher:
-    """Publishes a node's status on /diagnostics once a second; `describe` gives what it needs.
+    """Publishes a node's status on /diagnostics once a second.
 
     By a steady clock: under `use_sim_time` the node's own would stand still until a /clock comes.
+
+    Parameters
+    ----------
+    node : Node
+    statistics : Statistics
+    describe : callable
+        Returns the keyword arguments of `status_of`.
     """
 
     def __init__(
         self, node: Node, statistics: Statistics, describe: Callable[[], Mapping[str, Any]]
     ) -> None:
-        self._node, self._statistics, self._describe = node, statistics, describe
+        self._node = node
+        self._statistics = statistics
+        self._describe = describe
         self._last = statistics.summary()
         qos = QoSProfile(depth=5)
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", qos)
@@ -285,6 +348,6 @@ class DiagnosticsPublisher:
         self._publisher.publish(message)
 
     def close(self) -> None:
-        """Tell no more."""
+        """Stop publishing."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)

@@ -1,4 +1,4 @@
-"""What every node that turns frames into other frames has in common."""
+"""Base class of the nodes that turn frames into other frames."""
 
 import contextlib
 import dataclasses
@@ -23,7 +23,7 @@ from coded_aperture_ros.ros.diagnostics import (
     DiagnosticsConfig,
     DiagnosticsPublisher,
     Statistics,
-    camera_of,
+    camera_name,
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import image_from_compressed, stamp_ns
@@ -32,15 +32,17 @@ from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs
 
 Item = TypeVar("Item")
 
+# Between two looks at whether an output has a subscriber.
 _LAZY_PERIOD_S = 0.2
+# Shortest time between two log lines about messages with the same kind of fault.
 _LOG_PERIOD_S = 10.0
-# What it waits in silence.
-_PATIENCE_S = 2.0
+# At shutdown, the frame in work may take so long before a line says what the node waits for.
+_SHUTDOWN_LOG_DELAY_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
 class FrameNodeConfig:
-    """What every such node can be told about the frames that come."""
+    """Options of every such node about its input frames."""
 
     parameter_group = "frames."
     gamma: float = option(1.0, "Gamma of 8-bit images; 1 for a linear sensor", within=(0.2, 5.0))
@@ -63,17 +65,31 @@ class FrameNodeConfig:
 
     @property
     def pixel_format(self) -> PixelFormat:
-        """How the pixels of messages become linear light."""
+        """Pixel format that decodes the pixels of messages into linear light."""
         return PixelFormat(self.gamma, self.bits)
 
 
 class FrameNode(ManagedNode, Generic[Item]):
-    """A node that works on the newest frame, in a thread of its own, while someone listens.
+    """Node that processes the newest frame in a worker thread, while an output has a subscriber.
 
-    A node that derives from this one sets its `outputs`, topics and their message types, before the
-    constructor of this class, calls `listen` for each input but the driver's `camera_info`,
-    implements `load`, `unload` and `process`, and ends its constructor with `begin`. The arguments
-    are those of `ManagedNode`, and `local` of the process that it shares with others.
+    A subclass sets `outputs` before it calls the constructor of this class, calls `listen` for each
+    input except the driver's `camera_info`, implements `load`, `unload` and `process`, and ends its
+    constructor with `begin`.
+
+    Parameters
+    ----------
+    name, *configs, fixed, **node_options
+        As of `ManagedNode`.
+    local : LocalTopics or None
+        Topics inside the process, if it runs several nodes.
+
+    Attributes
+    ----------
+    outputs : mapping of str to type
+        Topics that the node publishes, and their message types.
+    statistics : Statistics
+    driver_info : CameraModel
+        Camera model that the driver sends.
     """
 
     outputs: Mapping[str, type]
@@ -92,10 +108,10 @@ class FrameNode(ManagedNode, Generic[Item]):
         self._outputs = Outputs(self, self.outputs, local)
         self._inputs = Inputs(self, local)
         self.driver_info = CameraModel(self.reject)
-        # Before the frames: of what has come, the executor takes what was subscribed to first.
+        # Before the frames: the executor serves the oldest subscription first.
         self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}
-        self._taken_up_s = 0.0
+        self._work_started_s = 0.0
         self._rate_limit = RateLimit()
         self._worker: NewestWorker[Item] | None = None
         self._timer: Any = None
@@ -114,7 +130,12 @@ class FrameNode(ManagedNode, Generic[Item]):
     def listen_to_frames(self, topic: str, callback: Callable[[Image, float], None]) -> None:
         """Subscribe to frames, raw or compressed as the parameter `image_transport` says.
 
-        The callback gets what compression has hidden, too; see `quantisation_sigma`.
+        Parameters
+        ----------
+        topic : str
+        callback : callable
+            Called with the image and its compression loss: the noise that lossy compression has
+            hidden, in stored values from 0 to 1; see `quantisation_sigma`.
         """
         if self.frame_config.image_transport == "raw":
             self.listen(topic, Image, lambda image: callback(image, 0.0))
@@ -133,37 +154,43 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     @abstractmethod
     def load(self) -> None:
-        """Load files and plan the work; an `InputError` says why that cannot be done."""
+        """Load files and prepare the work.
+
+        Raises
+        ------
+        InputError
+            If a file or a parameter cannot be used.
+        """
 
     @abstractmethod
     def unload(self) -> None:
-        """Let go of what `load` made, as far as it got."""
+        """Release what `load` made, also where it failed half-way."""
 
     @abstractmethod
     def process(self, item: Item) -> None:
-        """Do the work on one item, in the worker's thread."""
+        """Process one item and publish the results; called in the worker's thread."""
 
     def restart(self) -> None:
-        """Begin another video with the next frame, and let go of what waits for more input.
+        """Start a new video with the next frame, and drop what waits for more input.
 
-        Called, in any thread, when time has gone back, and when nobody listens any more.
+        Called, in any thread, when the clock jumps back and when no output has a subscriber left.
         """
         self.driver_info.forget_stamps()
 
     def identity(self) -> dict[str, str]:
-        """Return what /diagnostics says the node works with."""
+        """Keys and values of /diagnostics that name the files that the node uses."""
         return {}
 
     @property
     def frame_config(self) -> FrameNodeConfig:
-        """The present parameters about frames."""
+        """Present options of input frames."""
         return self.configs[FrameNodeConfig]
 
     def set_up(self) -> None:
-        """Load, create the publishers, and tell about the node from now on."""
+        """Load, create the publishers, and start to publish diagnostics."""
         self.load()
         self._outputs.open()
-        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._described)
+        self._diagnostics = DiagnosticsPublisher(self, self.statistics, self._describe)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = self.create_timer(_LAZY_PERIOD_S, self._update_listening, clock=steady)
 
@@ -180,7 +207,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.unload()
 
     def start_work(self) -> None:
-        """Begin to listen and to work; where that fails, neither goes on."""
+        """Subscribe and start the worker; where one of them fails, neither is left."""
         with contextlib.ExitStack() as undo:
             undo.callback(self.stop_work)
             # Subscribed at once, so that a QoS override that cannot be met is found at start.
@@ -192,7 +219,7 @@ class FrameNode(ManagedNode, Generic[Item]):
             undo.pop_all()
 
     def stop_work(self) -> None:
-        """Listen no more, and wait for the frame in work."""
+        """End the subscriptions, and wait for the frame in work."""
         self._inputs.close()
         self._end_worker()
         self.restart()
@@ -204,12 +231,15 @@ class FrameNode(ManagedNode, Generic[Item]):
 
     def _end_worker(self, timeout_s: float | None = None) -> None:
         worker, self._worker = self._worker, None
-        if worker is not None and not worker.stop(_PATIENCE_S):
-            self.get_logger().info("waiting for the frame in work, which is not cut short")
-            worker.stop(timeout_s and timeout_s - _PATIENCE_S)
+        if worker is not None and not worker.stop(_SHUTDOWN_LOG_DELAY_S):
+            self.get_logger().info("shutting down: waiting for the frame in work")
+            worker.stop(timeout_s and timeout_s - _SHUTDOWN_LOG_DELAY_S)
 
     def offer(self, item: Item | None) -> None:
-        """Hand an item, if any, to the worker as the rate allows; what still waits is dropped."""
+        """Hand an item to the worker unless it exceeds `max_rate_hz`; None is ignored.
+
+        It replaces an item that still waits, which is counted as dropped.
+        """
         worker = self._worker
         if worker is None or item is None:
             return
@@ -219,30 +249,30 @@ class FrameNode(ManagedNode, Generic[Item]):
             self.statistics.count_dropped("max_rate")
 
     def wants(self, topic: str) -> bool:
-        """Return whether an output has to be made."""
+        """Whether an output is needed: it has a subscriber, or the node is not lazy."""
         return not self.frame_config.lazy or self._outputs.listened(topic)
 
     def send(self, topic: str, message: Any) -> None:
         """Publish an output."""
         self._outputs.send(topic, message)
 
-    def sent(
+    def finish_frame(
         self,
         header: Header,
         stages_s: Mapping[str, float] | None = None,
         figures: Mapping[str, float] | None = None,
         complaint: Complaint | None = None,
     ) -> None:
-        """Count the frame with this header as done; see `Statistics.count_processed`."""
+        """Count the frame with this header as processed; see `Statistics.count_processed`."""
         stamp = stamp_ns(header)
-        # A stamp of zero is no time at all: simulated time had not begun, or nobody set it.
+        # A stamp of zero is not a time: simulated time had not begun, or the driver set none.
         now = self.get_clock().now().nanoseconds
         latency_s = (now - stamp) * 1e-9 if stamp else None
-        work_s = time.monotonic() - self._taken_up_s
+        work_s = time.monotonic() - self._work_started_s
         self.statistics.count_processed(latency_s, work_s, stages_s, figures, complaint)
 
     def reject(self, kind: str, reason: str) -> None:
-        """Count a message that cannot be used, and say why at most every ten seconds a kind."""
+        """Count an unusable message, and log why, at most every 10 s for each kind of fault."""
         self.statistics.count_rejected(kind, reason)
         now_s = time.monotonic()
         if now_s - self._logged_s.get(kind, -_LOG_PERIOD_S) >= _LOG_PERIOD_S:
@@ -250,7 +280,7 @@ class FrameNode(ManagedNode, Generic[Item]):
             self.get_logger().warning(f"skipped: {reason}")
 
     def _process_safely(self, item: Item) -> None:
-        self._taken_up_s = time.monotonic()
+        self._work_started_s = time.monotonic()
         try:
             self.process(item)
         except MessageError as error:
@@ -258,7 +288,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         except InputError as error:
             self.reject("frame", str(error))
         except Exception as error:
-            # A robot goes on driving: one frame that meets a fault of ours must not end the node.
+            # The robot keeps driving: an internal error in one frame must not end the node.
             self.reject("internal", f"internal error {type(error).__name__}: {error}")
 
     def _update_listening(self) -> None:
@@ -272,13 +302,13 @@ class FrameNode(ManagedNode, Generic[Item]):
             self.restart()
 
     def _on_jump(self, jump: TimeJump) -> None:
-        self.get_logger().info("time was set back: beginning anew")
+        self.get_logger().info("clock jumped back, resetting")
         self.restart()
 
-    def _described(self) -> dict[str, Any]:
+    def _describe(self) -> dict[str, Any]:
         return {
             "config": self.configs[DiagnosticsConfig],
-            "hardware_id": camera_of(self),
+            "hardware_id": camera_name(self),
             "waiting": self._inputs.are_open,
             "active": self._worker is not None,
             "identity": self.identity(),

@@ -1,4 +1,4 @@
-"""What a gyroscope says about the motion of a frame."""
+"""Expected motion of a frame, from a gyroscope."""
 
 import dataclasses
 import threading
@@ -13,17 +13,17 @@ from coded_aperture_ros.optics import Intrinsics
 from coded_aperture_ros.optics.rotation import expected_motion, parse_imu_axes
 from coded_aperture_ros.ros.messages import stamp_ns
 
-# A second of a fast gyroscope: frames are worked on a little after they were taken.
-_KEPT = 1000
+# Messages kept: one second of a fast gyroscope, as frames are processed a little after exposure.
+_KEPT_MESSAGES = 1000
 
 
 @dataclasses.dataclass(frozen=True)
 class GyroConfig:
-    """How messages on `imu` are used to know the motion of a frame."""
+    """How the motion of a frame follows from messages on `imu`."""
 
     parameter_group = "motion."
     exposure_s: float = option(
-        0.0, "Exposure time of the frames; 0: not known", unit="s", within=(0.0, 10.0)
+        0.0, "Exposure time of the frames; 0: unknown", unit="s", within=(0.0, 10.0)
     )
     imu_axes: str = option(
         "-y -z x",
@@ -37,33 +37,35 @@ class GyroConfig:
 
 
 class Gyro:
-    """Remembers what the gyroscope said lately; safe to use from several threads."""
+    """Newest messages of a gyroscope; safe to use from several threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._lately: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=_KEPT)
+        # Stamps, ns, and angular velocities, rad/s.
+        self._rates: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=_KEPT_MESSAGES)
 
     def receive(self, message: Imu) -> None:
-        """Remember a message."""
+        """Keep a message."""
         rate = message.angular_velocity
         with self._lock:
-            self._lately.append((stamp_ns(message.header), (rate.x, rate.y, rate.z)))
+            self._rates.append((stamp_ns(message.header), (rate.x, rate.y, rate.z)))
 
     def forget(self) -> None:
-        """Forget everything, as when time has gone back."""
+        """Forget all messages, for example after the clock has jumped back."""
         with self._lock:
-            self._lately.clear()
+            self._rates.clear()
 
     def expected(
         self, header: Header, config: GyroConfig, intrinsics: Intrinsics
     ) -> ExpectedMotion:
-        """Return the motion that is expected of a frame; with a reason where it is not known."""
+        """Expected motion of a frame, with the reason where it is unknown."""
         stamp = stamp_ns(header)
         with self._lock:
-            nearest = min(self._lately, key=lambda said: abs(said[0] - stamp), default=None)
+            nearest = min(self._rates, key=lambda each: abs(each[0] - stamp), default=None)
         if nearest is None:
             return expected_motion(None, config.exposure_s, intrinsics)
+        rate_stamp, rate = nearest
         axes = parse_imu_axes(config.imu_axes)
-        rates = tuple(sign * nearest[1][index] for index, sign in axes)
-        delay_s = (nearest[0] - stamp) * 1e-9
+        rates = tuple(sign * rate[index] for index, sign in axes)
+        delay_s = (rate_stamp - stamp) * 1e-9
         return expected_motion(rates, config.exposure_s, intrinsics, delay_s)

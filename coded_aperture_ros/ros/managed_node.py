@@ -1,8 +1,8 @@
-"""The life of a node: configured, activated, paused and cleaned up, by itself or a manager."""
+"""Lifecycle of a node: configured, activated, paused and cleaned up, by itself or a manager."""
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from lifecycle_msgs.srv import ChangeState
@@ -12,14 +12,15 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.ros.parameters import NodeParameters
 
-# What a node that ends waits for the frame in work; a camera that is gone may hang for longer.
+# Longest wait at shutdown for the frame in work: reading an unplugged camera may block for longer.
 LONGEST_FRAME_S = 5.0
-_SUCCESS, _FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+_SUCCESS = TransitionCallbackReturn.SUCCESS
+_FAILURE = TransitionCallbackReturn.FAILURE
 
 
 @dataclasses.dataclass(frozen=True)
 class LifeConfig:
-    """Who leads the node through its life."""
+    """Whether the node starts itself, or a lifecycle manager does."""
 
     autostart: bool = option(
         True,
@@ -30,11 +31,22 @@ class LifeConfig:
 
 
 class ManagedNode(ABC, LifecycleNode):
-    """A lifecycle node that starts itself unless it is told to wait for a manager.
+    """Lifecycle node that starts itself, unless `autostart` is false.
 
-    A node that derives from this one ends its constructor with `begin`, and implements what
-    happens at the transitions. Files are read in `set_up`, so that cleaning up and configuring
-    a node reads them again. `configs` and `fixed` are what `NodeParameters` takes.
+    A subclass ends its constructor with `begin`, and implements what happens at the transitions.
+    Files are read in `set_up`, so that cleaning up and configuring a node reads them again.
+
+    Parameters
+    ----------
+    name : str
+    *configs, fixed
+        As of `NodeParameters`.
+    **node_options
+        As of rclpy's `LifecycleNode`.
+
+    Attributes
+    ----------
+    configs : NodeParameters
     """
 
     def __init__(
@@ -43,43 +55,47 @@ class ManagedNode(ABC, LifecycleNode):
         super().__init__(name, **node_options)
         self.configs = NodeParameters(self, LifeConfig(), *configs, fixed=fixed)
         self._failure: InputError | None = None
-        self._active = self._configured = False
+        self._active = False
+        self._configured = False
         self._refuse_impossible_transitions()
 
     def begin(self) -> None:
-        """Configure and activate, unless a manager does it; the last thing in a constructor.
+        """Configure and activate, unless a manager does it; the last call in a constructor.
 
-        An `InputError` says why the node cannot be configured.
+        Raises
+        ------
+        InputError
+            If the node cannot be configured or activated.
         """
         if not self.configs[LifeConfig].autostart:
-            self.get_logger().info("waiting to be configured and activated")
+            self.get_logger().info("waiting for a lifecycle manager to configure and activate it")
             return
         for transition in (self.trigger_configure, self.trigger_activate):
             if transition() != _SUCCESS:
                 self.close()
-                raise self._failure or InputError(f"{self.get_name()} did not start")
+                raise self._failure or InputError(f"{self.get_name()} did not start: see its log")
 
     @abstractmethod
     def set_up(self) -> None:
-        """Load files, plan the work and create publishers; an `InputError` says why it cannot."""
+        """Load files, prepare the work and create publishers; may raise an `InputError`."""
 
     @abstractmethod
     def start_work(self) -> None:
-        """Begin to take frames."""
+        """Start to process frames."""
 
     @abstractmethod
     def stop_work(self) -> None:
-        """Take no more frames, and wait until the one in work is done."""
+        """Stop processing frames, and wait for the one in work."""
 
     @abstractmethod
     def clean_up(self) -> None:
-        """Let go of everything that `set_up` made."""
+        """Release everything that `set_up` made."""
 
     def end(self) -> None:
-        """End the node's own threads, and let go of files and devices.
+        """End the node's own threads, and release files and devices.
 
-        An executor may be waiting for the node's timers and subscriptions meanwhile, so nothing of
-        ROS may be destroyed. Where `stop_work` does no more than that, that is all.
+        An executor may still wait for the node's timers and subscriptions, so none of them may be
+        destroyed. A node whose `stop_work` destroys some overrides this method.
         """
         self.stop_work()
 
@@ -90,27 +106,27 @@ class ManagedNode(ABC, LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Set the node up; if that fails it stays unconfigured."""
-        done = self._carried_out("be configured", self.set_up)
+        done = self._try_step("configure", self.set_up)
         self._configured = done == _SUCCESS
         if not self._configured:
             self.clean_up()
         return done
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to work."""
-        done = self._carried_out("be activated", self.start_work)
+        """Start to work."""
+        done = self._try_step("activate", self.start_work)
         self._active = done == _SUCCESS
         return done
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Pause: keep what was set up."""
         self._active = False
-        return self._carried_out("be deactivated", self.stop_work)
+        return self._try_step("deactivate", self.stop_work)
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Become what the node was before it was configured."""
+        """Release what was set up: the node is unconfigured again."""
         self._configured = False
-        return self._carried_out("be cleaned up", self.clean_up)
+        return self._try_step("clean up", self.clean_up)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """End the work, in whatever state the node is."""
@@ -118,26 +134,27 @@ class ManagedNode(ABC, LifecycleNode):
         configured, self._configured = self._configured, False
         if active:
             self.stop_work()
-        return self._carried_out("be shut down", self.clean_up) if configured else _SUCCESS
+        return self._try_step("shut down", self.clean_up) if configured else _SUCCESS
 
-    def _carried_out(self, what: str, step: Any) -> TransitionCallbackReturn:
+    def _try_step(self, transition: str, step: Callable[[], None]) -> TransitionCallbackReturn:
+        """Result of a step of a transition; a failure is kept, and logged if a manager leads."""
         try:
             step()
         except InputError as error:
             self._failure = error
-            if not self.configs[LifeConfig].autostart:  # otherwise the program says it
-                self.get_logger().error(f"cannot {what}: {error}")
+            if not self.configs[LifeConfig].autostart:  # otherwise the program prints it
+                self.get_logger().error(f"cannot {transition}: {error}")
             return _FAILURE
-        except Exception as error:  # a manager gets an answer whatever happens
+        except Exception as error:  # a manager has to get an answer in any case
             self._failure = InputError(f"internal error {type(error).__name__}: {error}")
-            self.get_logger().error(f"cannot {what}: {self._failure}")
+            self.get_logger().error(f"cannot {transition}: {self._failure}")
             return _FAILURE
         return _SUCCESS
 
     def _refuse_impossible_transitions(self) -> None:
-        """Answer requests for transitions that the present state does not have.
+        """Answer requests for transitions that the present state does not have with a refusal.
 
-        rclpy raises an error out of the service then, which would end the program.
+        rclpy raises an error in the service then, which would end the program.
         """
         service = self._service_change_state
         change = service.callback
@@ -148,7 +165,7 @@ class ManagedNode(ABC, LifecycleNode):
             try:
                 return change(request, response)
             except Exception as error:
-                self.get_logger().warning(f"refused: {str(error).splitlines()[0]}")
+                self.get_logger().warning(f"transition refused: {str(error).splitlines()[0]}")
                 response.success = False
                 return response
 

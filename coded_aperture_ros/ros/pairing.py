@@ -1,4 +1,4 @@
-"""Pairs of messages that come from the same frame."""
+"""Pairing of the messages of two topics by their stamps."""
 
 import math
 import threading
@@ -10,14 +10,21 @@ Second = TypeVar("Second")
 
 
 class StampPairs(Generic[First, Second]):
-    """Pairs messages of two topics by their exact stamps, in a buffer that cannot grow.
+    """Pairs messages of two topics by their exact stamps, in a bounded buffer.
 
-    A pair makes everything older than it obsolete: stamps increase, and results are wanted for
-    the newest frame only. Safe to use from several threads.
+    A pair drops everything older: stamps increase, and only the newest results are wanted. Safe to
+    use from several threads.
 
-    At most `capacity` messages of each topic wait, of `capacity_bytes` beside the newest one, by
-    what `size_bytes` says of each. `dropped` is called for every message of the first topic that
-    is given up without a partner.
+    Parameters
+    ----------
+    capacity : int
+        Most messages of each topic that wait.
+    dropped : callable
+        Called for every message of the first topic that is dropped without a partner.
+    capacity_bytes : float
+        Most bytes of each topic that wait; the newest message waits whatever its size.
+    size_bytes : callable
+        Size of a message.
     """
 
     def __init__(
@@ -44,14 +51,14 @@ class StampPairs(Generic[First, Second]):
             return self._pair(stamp_ns)
 
     def clear(self) -> None:
-        """Give up everything that waits."""
+        """Drop everything that waits."""
         with self._lock:
             for waiting in (self._first, self._second):
                 for stamp in list(waiting):
-                    self._forget(waiting, stamp)
+                    self._drop(waiting, stamp)
 
     def __len__(self) -> int:
-        """Return how many messages wait for their partner."""
+        """Number of messages that wait for their partner."""
         return len(self._first) + len(self._second)
 
     def _keep(self, waiting: dict, stamp_ns: int, message: First | Second) -> None:
@@ -59,7 +66,7 @@ class StampPairs(Generic[First, Second]):
         while len(waiting) > self._capacity or (
             len(waiting) > 1 and sum(map(self._size_bytes, waiting.values())) > self._capacity_bytes
         ):
-            self._forget(waiting, next(iter(waiting)))  # the one that came first
+            self._drop(waiting, next(iter(waiting)))  # the first that came
 
     def _pair(self, stamp_ns: int) -> tuple[First, Second] | None:
         if stamp_ns not in self._first or stamp_ns not in self._second:
@@ -67,10 +74,10 @@ class StampPairs(Generic[First, Second]):
         pair = self._first.pop(stamp_ns), self._second.pop(stamp_ns)
         for waiting in (self._first, self._second):
             for old in [stamp for stamp in waiting if stamp < stamp_ns]:
-                self._forget(waiting, old)
+                self._drop(waiting, old)
         return pair
 
-    def _forget(self, waiting: dict, stamp_ns: int) -> None:
+    def _drop(self, waiting: dict, stamp_ns: int) -> None:
         del waiting[stamp_ns]
         if waiting is self._first:
             self._dropped()

@@ -24,7 +24,7 @@ _LARGEST_INTEGER = 2**63 - 1
 
 
 class _Setting(NamedTuple):
-    """Which option of which configuration a parameter stands for."""
+    """Option of a configuration that a parameter sets."""
 
     owner: type
     field: str
@@ -33,17 +33,26 @@ class _Setting(NamedTuple):
 
 
 class NodeParameters:
-    """The parameters of a node: one per option of its configuration dataclasses.
+    """Parameters of a node: one for each option of its configuration dataclasses.
 
-    A bad value is refused with the reason and the old one stays. A good one replaces the whole
-    (frozen) configuration, so that a worker thread that took one at the start of a frame keeps a
-    consistent one, and can tell by identity that something has changed since. An integer is good
-    for a number that may have a fraction.
+    A bad value is refused with the reason, and the old one stays. A good one replaces the whole
+    (frozen) configuration: a worker thread that took one at the start of a frame keeps a consistent
+    one, and a change shows as another object. A parameter of type float also takes integers.
 
-    `configs` are instances with the defaults, made with `core.options.option`, whose parameters'
-    names must differ; `fixed` are further ones that cannot change while the node runs, by the
-    prefix of their parameters' names, such as ``{"learn.": LearnConfig()}``. Raises `InputError`
-    where the node was started with a value that is refused.
+    Parameters
+    ----------
+    node : Node
+    *configs
+        Dataclass instances with the defaults, made with `core.options.option`. The names of their
+        parameters must differ.
+    fixed : mapping
+        Further ones that cannot change while the node runs, by the prefix of their parameters'
+        names, such as ``{"learn.": LearnConfig()}``.
+
+    Raises
+    ------
+    InputError
+        If the node was started with a value that is refused.
     """
 
     def __init__(
@@ -61,7 +70,7 @@ class NodeParameters:
         node.add_post_set_parameters_callback(self._apply)
 
     def __getitem__(self, config_type: type[Config]) -> Config:
-        """Return the present configuration of this type."""
+        """Present configuration of this type."""
         return self._configs[config_type]
 
     def on_change(
@@ -70,56 +79,56 @@ class NodeParameters:
         prepare: Callable[[Config], None],
         take_over: Callable[[Config], None],
     ) -> None:
-        """Let a change of a configuration depend on more than its values.
+        """Register callbacks for changes of a configuration.
 
-        `prepare` gets the new configuration before it holds, and may refuse it with an
-        `InputError`; `take_over` gets it once it holds.
+        `prepare` gets the new configuration before it is set, and may refuse it with an
+        `InputError`; `take_over` gets it after it has been set.
         """
         self._listeners[config_type] = prepare, take_over
 
     def forget_listeners(self) -> None:
-        """Let changes of all configurations depend on their values alone again."""
+        """Remove the callbacks of all configurations."""
         self._listeners.clear()
 
     def _declare(self, node: Node, config: Any, prefix: str, read_only: bool) -> None:
         values = {}
-        options, names = options_of(config), parameter_names(config)
-        for field, (declared, described) in options.items():
+        names = parameter_names(config)
+        for field, (declared, described) in options_of(config).items():
             if read_only:
                 described = dataclasses.replace(described, read_only=True)
             name = prefix + names[field]
             setting = _Setting(type(config), field, type(declared.default), described)
             self._settings[name] = setting
-            values[field] = self._declared(node, name, getattr(config, field))
+            values[field] = self._declare_parameter(node, name, getattr(config, field))
         self._configs[type(config)] = dataclasses.replace(config, **values)
 
-    def _declared(self, node: Node, name: str, default: Any) -> Any:
-        """Declare a parameter, and return what it was started with."""
+    def _declare_parameter(self, node: Node, name: str, default: Any) -> Any:
+        """Declare a parameter; return its initial value."""
         setting = self._settings[name]
-        value = _given(node, name)
-        value = _suiting(default if value is None else value, setting.kind)
+        value = _start_value(node, name)
+        value = _converted(default if value is None else value, setting.kind)
         check_option(f"parameter {name}", value, setting.kind, setting.described)
         descriptor = descriptor_of(value, setting.described)
         return node.declare_parameter(name, value, descriptor, ignore_override=True).value
 
     def _with_types(self, parameters: list[Parameter]) -> list[Parameter]:
-        """Return what is to be set, with values of the parameters' types."""
-        suiting = []
+        """Parameters to set, with their values converted to the types of the options."""
+        converted = []
         for parameter in parameters:
             if setting := self._settings.get(parameter.name):
-                value = _suiting(parameter.value, setting.kind)
+                value = _converted(parameter.value, setting.kind)
                 # An empty array does not show its type.
                 kept = parameter.type_ if value is parameter.value else None
                 parameter = Parameter(parameter.name, kept, value)
-            suiting.append(parameter)
-        return suiting
+            converted.append(parameter)
+        return converted
 
     def _check(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Whether parameters can be set; prepares the changes that have a listener."""
         try:
             for parameter in parameters:
                 if setting := self._settings.get(parameter.name):
-                    kind, described = setting.kind, setting.described
-                    check_option(parameter.name, parameter.value, kind, described)
+                    check_option(parameter.name, parameter.value, setting.kind, setting.described)
             for owner, config in self._changed(parameters).items():
                 if owner in self._listeners and config != self._configs[owner]:
                     self._listeners[owner][0](config)
@@ -135,6 +144,7 @@ class NodeParameters:
                 self._listeners[owner][1](config)
 
     def _changed(self, parameters: list[Parameter]) -> dict[type, Any]:
+        """Configurations with the parameters set, by their type."""
         values: dict[type, dict[str, Any]] = {}
         for parameter in parameters:
             if setting := self._settings.get(parameter.name):
@@ -145,28 +155,29 @@ class NodeParameters:
         }
 
 
-def _given(node: Node, name: str) -> Any:
-    """Return the value, of any type, that a node was started with for a parameter; else None."""
+def _start_value(node: Node, name: str) -> Any:
+    """Value, of any type, that the node was started with for a parameter; None without one."""
     any_type = ParameterDescriptor(dynamic_typing=True)
     value = node.declare_parameter(name, None, any_type).value
     node.undeclare_parameter(name)
     return value
 
 
-def _suiting(value: Any, kind: type) -> Any:
-    """Return an integer as a float where that is what is expected."""
+def _converted(value: Any, kind: type) -> Any:
+    """Value, as a float if it is an integer and a float is expected."""
     return float(value) if kind is float and type(value) is int else value
 
 
 def descriptor_of(default: Any, described: Option) -> ParameterDescriptor:
-    """Return the ROS descriptor of an option: its description, range and read-only flag."""
+    """ROS descriptor of an option: its description, range and read-only flag."""
     unit = f" [{described.unit}]" if described.unit else ""
     descriptor = ParameterDescriptor(
         description=f"{described.description}{unit}", read_only=described.read_only
     )
     if described.choices is not None:
         descriptor.additional_constraints = described.allowed
-    least, most = described.minimum, described.maximum
+    least = described.minimum
+    most = described.maximum
     if least is None and most is None:
         return descriptor
     kind = type(default)

@@ -1,4 +1,4 @@
-"""Frames of a topic for calibration: the mean of some of them, while the scene stands still."""
+"""Mean frames of a topic, for calibration with planes."""
 
 import contextlib
 import threading
@@ -14,26 +14,36 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import Gamma, PixelFormat
 from coded_aperture_ros.io.messages import MessageError, frame_from_image
-from coded_aperture_ros.ros.running import running_apart
+from coded_aperture_ros.ros.running import node_in_thread
 
 
 class FrameGrabber(contextlib.AbstractContextManager["FrameGrabber"]):
-    """Subscribes to a topic of images, and takes means of frames; a context manager.
+    """Subscribes to a topic of images and averages frames; a context manager.
 
-    Frames are dropped between two pictures: what was seen while the plane was moved does not
-    count. `gamma` is that of 8-bit images. An `InputError` says that ROS does not start, or that
-    the topic's name is none.
+    Frames between two calls of `mean_frame` are dropped: the plane may have been moved then.
+
+    Parameters
+    ----------
+    topic : str
+    gamma : float or "srgb"
+        Of 8-bit images.
+
+    Raises
+    ------
+    InputError
+        If ROS does not start, or the name of the topic is not valid.
     """
 
     def __init__(self, topic: str, gamma: Gamma = 1.0) -> None:
-        self._topic, self._gamma = topic, gamma
+        self._topic = topic
+        self._gamma = gamma
         self._changed = threading.Condition()
         self._frames: list[FloatArray] = []
         self._wanted = 0
         self._refused = ""
         self._running = contextlib.ExitStack()
         try:
-            self._running.enter_context(running_apart(self._subscribed, "frames"))
+            self._running.enter_context(node_in_thread(self._subscribed_node, "frames"))
         except Exception as error:  # rclpy's own errors are of many kinds
             raise InputError(f"topic {topic}: {str(error).splitlines()[0]}") from error
 
@@ -41,16 +51,22 @@ class FrameGrabber(contextlib.AbstractContextManager["FrameGrabber"]):
         self._running.close()
 
     def mean_frame(self, count: int, timeout_s: float) -> FloatArray:
-        """Return the mean of the next `count` frames, float32.
+        """Mean of the next `count` frames, linear light, float32 [rows, columns(, 3)].
 
-        Raises `InputError` if they do not come in time, cannot be used, or change their size
-        meanwhile.
+        Raises
+        ------
+        InputError
+            If they do not come in time, cannot be used, or change their size meanwhile.
         """
         with self._changed:
-            self._frames, self._refused, self._wanted = [], "", count
+            self._frames = []
+            self._refused = ""
+            self._wanted = count
             self._changed.wait_for(lambda: len(self._frames) >= count or self._refused, timeout_s)
-            frames, self._frames, self._wanted = self._frames, [], 0
+            frames = self._frames
             refused = self._refused
+            self._frames = []
+            self._wanted = 0
         if refused:
             raise InputError(f"topic {self._topic}: {refused}")
         if len(frames) < count:
@@ -59,10 +75,10 @@ class FrameGrabber(contextlib.AbstractContextManager["FrameGrabber"]):
                 + ("" if frames else ": check that a camera publishes there (ros2 topic hz)")
             )
         if len({frame.shape for frame in frames}) > 1:
-            raise InputError(f"topic {self._topic}: frames changed their size")
+            raise InputError(f"topic {self._topic}: frames changed their size: try again")
         return np.asarray(np.mean(frames, axis=0, dtype=np.float64), np.float32)
 
-    def _subscribed(self, context: Context) -> Node:
+    def _subscribed_node(self, context: Context) -> Node:
         node = Node("calibrate_planes", context=context)
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         node.create_subscription(Image, self._topic, self._receive, qos)

@@ -1,7 +1,7 @@
 """The programs that start nodes; also `python -m coded_aperture_ros.ros.programs NODE ...`.
 
-Importing the nodes takes seconds. Whoever stops a program meanwhile does not want to see a crash,
-so that what to do then is said before anything else.
+Importing the nodes takes seconds. Signals are handled before that, so that stopping a program
+meanwhile does not look like a crash.
 """
 
 import os
@@ -29,8 +29,8 @@ useful ones are in docs/robot.md. Without the program ros2, {name} takes the sam
 """
 _WHAT = {
     "camera_driver_node": "Publishes frames of a device, files, a bag or a simulator (source).",
-    "depth_node": "Publishes metric depth of coded frames, and how sure it is.",
-    "deblur_node": "Publishes all-in-focus frames, from coded frames and their depth.",
+    "depth_node": "Publishes metric depth of coded frames, and its confidence.",
+    "deblur_node": "Publishes all-in-focus pictures, from coded frames and their depth.",
 }
 
 
@@ -44,7 +44,7 @@ def _help(names: tuple[str, ...]) -> str:
 
 
 def _run(*names: str) -> int:
-    """Run nodes in this process until told to stop; return the exit status.
+    """Run nodes in this process until SIGINT or SIGTERM; return the exit status.
 
     A parameter given as `-p camera_file:=...` goes to all nodes, `-p depth_node:lazy:=...` to one.
     """
@@ -52,8 +52,7 @@ def _run(*names: str) -> int:
         sys.stdout.write(_help(names))
         return 0
     for number in (signal.SIGINT, signal.SIGTERM):
-        # Nothing has been started that would have to be ended, and an exception may be swallowed by
-        # whatever is being imported.
+        # Nothing has to be cleaned up yet, and an import might swallow an exception.
         signal.signal(number, lambda *_: os._exit(0))
     from coded_aperture_ros.ros.environment import share_large_messages
 

@@ -1,4 +1,4 @@
-"""Start nodes from a shell and end them cleanly."""
+"""Executors of nodes: of a program until it is stopped, or in a thread beside one."""
 
 import contextlib
 import signal
@@ -21,17 +21,23 @@ _Node = TypeVar("_Node", bound=Node)
 
 
 def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
-    """Run nodes in this process until SIGINT or SIGTERM.
+    """Run nodes in this process until SIGINT or SIGTERM; return the exit status.
 
     The callbacks of all nodes share one executor thread: they only hand over the newest message,
-    the work is done in each node's own thread. The order of the end matters: first the work
-    stops, then the middleware, so that nothing is published on a context that is gone.
+    the work is done in each node's own thread. At the end first the work stops, then the
+    middleware, so that nothing is published on a context that has been shut down.
 
-    Each of `factories` makes one node, whose method `close` ends its own threads. Returns the exit
-    status: 0 after a signal; 1 where a node could not start (after one line on stderr) or a
-    callback failed.
+    Parameters
+    ----------
+    factories : sequence of callable
+        Each makes one node, whose method `close` ends its own threads.
+
+    Returns
+    -------
+    int
+        0 after a signal; 1 if a node could not start (one line is on stderr), or a callback failed.
     """
-    stop = _Stop()
+    stop = _StopSignal()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop.on_signal)
     nodes: list[Any] = []
@@ -62,16 +68,16 @@ def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
             node.close()
             node.destroy_node()
         rclpy.try_shutdown()
-        # Python takes its handlers away before it has ended; a second Ctrl-C would then end it with
-        # the status of a crash.
+        # Python removes its handlers before it has ended: a second Ctrl-C would then look like a
+        # crash.
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_IGN)
     return stop.status
 
 
 @contextlib.contextmanager
-def running_apart(make: Callable[[Context], _Node], thread: str) -> Iterator[_Node]:
-    """Run a node in a thread and a context of its own; Ctrl-C stays with the program."""
+def node_in_thread(make: Callable[[Context], _Node], thread: str) -> Iterator[_Node]:
+    """Run a node in a thread and a context of its own; Ctrl-C is left to the program."""
     context = Context()
     with contextlib.ExitStack() as endings:
         endings.callback(context.try_shutdown)
@@ -92,8 +98,8 @@ def running_apart(make: Callable[[Context], _Node], thread: str) -> Iterator[_No
         yield node
 
 
-class _Stop:
-    """Why and when to stop."""
+class _StopSignal:
+    """Event that ends the program, and its exit status."""
 
     def __init__(self) -> None:
         self.event = threading.Event()
@@ -102,12 +108,12 @@ class _Stop:
 
     def on_signal(self, *_: Any) -> None:
         self.event.set()
-        if self.starting:  # learning a bank takes seconds that nobody wants to wait for
-            self.starting = False  # a second signal does not disturb the end
+        if self.starting:  # do not wait for the nodes: learning a bank takes seconds
+            self.starting = False  # a second signal must not interrupt the shutdown
             raise SystemExit(0)
 
 
-def _spin(executor: SingleThreadedExecutor, stop: _Stop) -> None:
+def _spin(executor: SingleThreadedExecutor, stop: _StopSignal) -> None:
     try:
         executor.spin()
     except ExternalShutdownException:

@@ -1,4 +1,4 @@
-"""The transform from a robot's frame to the camera's optical frame."""
+"""Static transform from a robot's frame to the camera's optical frame."""
 
 import math
 
@@ -15,35 +15,52 @@ def optical_transform(
     position_m: tuple[float, float, float],
     pitch_rad: float = 0.0,
 ) -> TransformStamped:
-    """Return the transform of a camera that looks forward from `base_frame`.
+    """Transform of a camera that looks forward in the base frame.
 
-    Their axes: x forward, y left, z up, and x right, y down, z forward. The camera is at
-    `position_m` in the base frame, and looks down by `pitch_rad`. `InputError` if both are one.
+    Parameters
+    ----------
+    base_frame : str
+        Axes x forward, y left, z up.
+    optical_frame : str
+        Axes x right, y down, z forward.
+    position_m : (float, float, float)
+        Camera position in the base frame.
+    pitch_rad : float
+        Angle by which the camera looks down.
+
+    Raises
+    ------
+    InputError
+        If both frames have one name.
     """
     from scipy.spatial.transform import Rotation
 
     if base_frame == optical_frame:
-        raise InputError(f"base.frame: is {base_frame}, as frame_id: give the robot's frame, or ''")
+        raise InputError(
+            f"base.frame: {base_frame} is frame_id, too: set the robot's frame, or leave it empty"
+        )
     transform = TransformStamped(child_frame_id=optical_frame)
     transform.header.frame_id = base_frame
-    translation, rotation = transform.transform.translation, transform.transform.rotation
+    translation = transform.transform.translation
+    rotation = transform.transform.rotation
     translation.x, translation.y, translation.z = (float(value) for value in position_m)
-    # From a body's axes to optical ones: yaw and roll of -90 degrees (REP 103).
+    # From the axes of a body to those of a camera: yaw and roll of -90 degrees (REP 103).
     turned = Rotation.from_euler("YZX", (pitch_rad, -math.pi / 2, -math.pi / 2))
     rotation.x, rotation.y, rotation.z, rotation.w = map(float, turned.as_quat())
     return transform
 
 
 def broadcast_static(node: Node, transform: TransformStamped) -> None:
-    """Publish a transform on /tf_static once, for late joiners too.
+    """Publish a transform on /tf_static once, latched for late subscribers.
 
-    Where tf2_msgs is not installed there is a warning instead.
+    Without tf2_msgs it warns instead.
     """
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
         node.get_logger().warning(
-            "no static transform published: tf2_msgs is not installed (apt: ros-jazzy-tf2-msgs)"
+            "static transform not published: tf2_msgs is not installed, "
+            "sudo apt install ros-jazzy-tf2-msgs"
         )
         return
     qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

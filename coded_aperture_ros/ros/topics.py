@@ -1,4 +1,4 @@
-"""The topics that a node publishes and subscribes to, over DDS and inside its process."""
+"""Publishers and subscriptions of a node, over DDS and inside its process."""
 
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -13,15 +13,15 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverriding
 
 from coded_aperture_ros.core.errors import InputError
 
-# History, depth and reliability of every topic are parameters.
+# Makes history, depth and reliability of every topic parameters.
 _OVERRIDABLE = QoSOverridingOptions.with_default_policies()
 
 
 class LocalTopics:
-    """Hands messages from node to node as they are, without serialising them.
+    """Topics inside a process: messages go from node to node without being serialised.
 
     A node that subscribes to a topic that another node of the process offers gets its messages
-    from here, and not over DDS. Messages are shared: whoever receives one must not change it.
+    from here, and not over DDS. Messages are shared: a receiver must not change them.
     """
 
     def __init__(self) -> None:
@@ -30,22 +30,22 @@ class LocalTopics:
         self._callbacks: dict[str, list[Callable[[Any], None]]] = {}
 
     def offer(self, topic: str) -> None:
-        """Say that a node of this process publishes a topic, by its full name."""
+        """Register a topic, by its full name, that a node of this process publishes."""
         with self._lock:
             self._offered.add(topic)
 
     def offers(self, topic: str) -> bool:
-        """Return whether a node of this process publishes a topic."""
+        """Whether a node of this process publishes a topic."""
         with self._lock:
             return topic in self._offered
 
     def subscribe(self, topic: str, callback: Callable[[Any], None]) -> Callable[[], None]:
-        """Have a topic's messages handed to a function; return what ends that.
+        """Subscribe a function to a topic; return a function that unsubscribes it.
 
-        The function is called in the thread that publishes, and must be quick.
+        It is called in the thread that publishes, and must return quickly.
         """
         with self._lock:
-            # A new list: one that is being gone through stays as it is.
+            # A new list: `publish` may be iterating over the old one.
             self._callbacks[topic] = [*self._callbacks.get(topic, []), callback]
 
         def unsubscribe() -> None:
@@ -57,12 +57,12 @@ class LocalTopics:
         return unsubscribe
 
     def listeners(self, topic: str) -> int:
-        """Return how many functions wait for a topic."""
+        """Number of functions that are subscribed to a topic."""
         with self._lock:
             return len(self._callbacks.get(topic, []))
 
     def publish(self, topic: str, message: Any) -> None:
-        """Hand a message to all who wait for it."""
+        """Call the subscribed functions with a message."""
         with self._lock:
             callbacks = self._callbacks.get(topic, [])
         for callback in callbacks:
@@ -70,10 +70,17 @@ class LocalTopics:
 
 
 class Outputs:
-    """The topics of a node's results, with QoS that users can change by parameters.
+    """Publishers of a node, with QoS that users can change by parameters.
 
-    Reliable, because such a publisher serves every kind of subscriber. `types` has the message type
-    of every topic; `local` is of the process that the node shares with others, if it does.
+    They are reliable, because such a publisher serves every kind of subscriber.
+
+    Parameters
+    ----------
+    node : Node
+    types : mapping of str to type
+        Message type of each topic.
+    local : LocalTopics or None
+        Topics inside the process, if it runs several nodes.
     """
 
     def __init__(self, node: Node, types: Mapping[str, type], local: LocalTopics | None) -> None:
@@ -102,7 +109,7 @@ class Outputs:
             self._node.destroy_publisher(publisher)
 
     def listened(self, topic: str | None = None) -> bool:
-        """Return whether anyone subscribes to a topic, or to any of them."""
+        """Whether a topic has a subscriber; without a topic, whether any of them has."""
         if topic is None:
             return any(self.listened(each) for each in self._publishers)
         if topic not in self._publishers:
@@ -112,7 +119,7 @@ class Outputs:
         return bool(self._publishers[topic].get_subscription_count())
 
     def send(self, topic: str, message: Any) -> None:
-        """Publish a message, unless the node's context has been shut down meanwhile."""
+        """Publish a message; ignored once the node's context has been shut down."""
         if self._local is not None:
             self._local.publish(self._names[topic], message)
         publisher = self._publishers.get(topic)
@@ -122,64 +129,72 @@ class Outputs:
         try:
             publisher.publish(message)
         except Exception:
-            # rclpy raises several kinds here, one of them private; only a shutdown excuses them.
+            # rclpy raises several kinds here, one of them private; a shutdown explains all of them.
             if self._node.context.ok():
                 raise
 
 
 class Inputs:
-    """The topics that a node listens to: sensor data, of which only the newest matters.
+    """Subscriptions of a node: sensor data, of which only the newest matters.
 
-    `local` is of the process that the node shares with others: what they publish comes from there.
+    Parameters
+    ----------
+    node : Node
+    local : LocalTopics or None
+        Topics inside the process, which are preferred to DDS.
     """
 
     def __init__(self, node: Node, local: LocalTopics | None) -> None:
         self._node = node
         self._local = local
-        self._wanted: list[tuple[str, type, Callable[[Any], None]]] = []
-        self._endings: list[Callable[[], Any]] = []
+        self._topics: list[tuple[str, type, Callable[[Any], None]]] = []
+        self._unsubscribers: list[Callable[[], Any]] = []
         # Messages come from the executor and from the threads of the other nodes.
-        self._one_at_a_time = threading.Lock()
+        self._callback_lock = threading.Lock()
 
     def add(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
-        """Listen to a topic whenever the inputs are open."""
+        """Add a topic that is subscribed to whenever the inputs are open."""
 
-        def one_at_a_time(message: Any) -> None:
-            with self._one_at_a_time:
+        def locked(message: Any) -> None:
+            with self._callback_lock:
                 callback(message)
 
-        self._wanted.append((topic, message_type, one_at_a_time))
+        self._topics.append((topic, message_type, locked))
 
     @property
     def are_open(self) -> bool:
-        """Whether the node listens."""
-        return bool(self._endings)
+        """Whether the node is subscribed."""
+        return bool(self._unsubscribers)
 
     def open(self) -> None:
-        """Subscribe to all topics, or to none.
+        """Subscribe to all topics, or to none if that fails.
 
-        Raises `InputError` if a QoS override cannot be met.
+        Raises
+        ------
+        InputError
+            If a QoS override cannot be met.
         """
         with ExitStack() as undo:
             undo.callback(self.close)
-            for topic, message_type, callback in self._wanted:
+            for topic, message_type, callback in self._topics:
                 name = self._node.resolve_topic_name(topic)
                 if self._local is not None and self._local.offers(name):
-                    self._endings.append(self._local.subscribe(name, callback))
+                    self._unsubscribers.append(self._local.subscribe(name, callback))
                     continue
                 qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
                 with _readable_qos_errors(topic):
                     subscription = self._node.create_subscription(
                         message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE
                     )
-                self._endings.append(partial(self._node.destroy_subscription, subscription))
+                destroy = partial(self._node.destroy_subscription, subscription)
+                self._unsubscribers.append(destroy)
             undo.pop_all()
 
     def close(self) -> None:
         """End the subscriptions."""
-        endings, self._endings = self._endings, []
-        for end in endings:
-            end()
+        unsubscribers, self._unsubscribers = self._unsubscribers, []
+        for unsubscribe in unsubscribers:
+            unsubscribe()
 
 
 @contextmanager

@@ -231,7 +231,7 @@ def test_what_a_camera_changes_by_itself_is_told(tmp_path):
         ({"camera_file": ""}, "camera_file is empty"),
         ({"encoding": "yuv422"}, "one of mono8, rgb8, bgr8, mono16, bayer_rggb8, bayer_rggb16"),
         ({"rate_hz": 0.0}, "rate_hz"),
-        ({"base.frame": "eye", "frame_id": "eye"}, "base.frame: is eye, as frame_id"),
+        ({"base.frame": "eye", "frame_id": "eye"}, "base.frame: eye is frame_id, too"),
     ],
 )
 def test_what_cannot_be_driven_is_one_clear_line(ros, camera_file, folder, parameters, reason):

@@ -199,7 +199,7 @@ def test_status_warns_at_the_thresholds_that_were_set():
     assert status_of("n", now, before, DiagnosticsConfig()).level == DiagnosticStatus.OK
     for config, text in (
         (DiagnosticsConfig(warn_latency_ms=70.0), "latency 80 ms, more than 70"),
-        (DiagnosticsConfig(warn_rate_hz=1000.0), "fewer than 1000"),
+        (DiagnosticsConfig(warn_rate_hz=1000.0), "less than 1000"),
         (DiagnosticsConfig(warn_dropped_share=0.2), "3 of 10 frames dropped"),
     ):
         status = status_of("n", now, before, config, identity={"bank": "bank.npz"})

@@ -27,7 +27,7 @@ from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.io.messages import ENCODINGS, array_from_image, pixels_from_frame
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
-from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_of
+from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_from_info
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -194,7 +194,7 @@ def test_camera_infos(nodes, folder, info):
     out = model.info(camera, (HEIGHT, WIDTH), (HEIGHT // 2, WIDTH // 2), Header())
     assert (out.width, out.height) == (WIDTH // 2, HEIGHT // 2)
     try:
-        measured = intrinsics_of(info, "camera")
+        measured = intrinsics_from_info(info, "camera")
     except InputError:
         return
     assert np.isfinite(measured.camera_matrix).all()
