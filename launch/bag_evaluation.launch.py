@@ -1,4 +1,4 @@
-"""Every frame of a bag as depth and all in focus, beside the originals, with a report.
+"""Depth and all-in-focus pictures of every frame of a bag, in another bag, with a report.
 
 Example::
 
@@ -12,13 +12,13 @@ from launch.substitutions import EqualsSubstitution, LaunchConfiguration, NotEqu
 
 from launch import LaunchDescription
 
-# Launch argument, its default (None: it has to be given), and what it is.
+# Launch arguments: (name, default, description); without a default (None) one has to be given.
 ARGUMENTS = (
     ("bag", None, "Bag to read: a folder, an .mcap or a .db3 file"),
     ("output", None, "Folder of the bag with the results"),
     ("bank", None, "Filter bank (.npz)"),
     ("camera_file", None, "Camera file (YAML)"),
-    ("reference_depth", "", "Topic of depth to compare with; empty: none"),
+    ("reference_depth", "", "Topic of the depth to compare with; empty: none"),
 )
 
 

@@ -1,17 +1,18 @@
-"""Depth for obstacle avoidance: a voxel map of nav2, a laser scan, and RViz if it is asked for.
+"""Depth for obstacle avoidance: a voxel map of nav2, a laser scan, and optionally RViz.
 
-Beside this package it needs nav2_costmap_2d, nav2_lifecycle_manager and depthimage_to_laserscan,
+It needs nav2_costmap_2d, nav2_lifecycle_manager and depthimage_to_laserscan,
 and a robot that publishes the transforms odom -> base_link -> the camera's optical frame.
 Example::
 
     ros2 launch coded_aperture_ros obstacle_avoidance.launch.py \
         camera_file:=/path/to/camera.yaml near_m:=0.8 far_m:=3.0 source:=/dev/video0
 
-With free_space.risk:=0.01 the map is cleared up to the bound on free space at that risk, and no
-farther. Give it here: what clears the map does not go by params_file.
+With free_space.risk:=0.01 the map is cleared up to the free-space bound at that risk, and no
+farther. Give it as a launch argument: the topic that clears the map is chosen by it, and not by
+params_file.
 
-Other arguments are those of pipeline.launch.py. Everything has the settings of
-config/obstacle_avoidance.yaml; what `params_file` says of a node by its name wins over them.
+Other arguments are those of pipeline.launch.py. The nodes have the settings of
+config/obstacle_avoidance.yaml; `params_file` wins over them where it names a node.
 """
 
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
@@ -26,14 +27,14 @@ from launch import LaunchDescription
 
 SHARE = FindPackageShare("coded_aperture_ros")
 ARGUMENTS = (
-    ("namespace", "", "Of all nodes, their topics, the scan and the map"),
+    ("namespace", "", "Namespace of all nodes, their topics, the scan and the map"),
     ("params_file", "", "Parameter file that wins over everything else"),
-    ("rviz", "false", "Show everything"),
+    ("rviz", "false", "Start RViz"),
 )
-# The node of nav2_costmap_2d calls itself /costmap/costmap in whatever namespace it is started, so
-# that its names have to be brought there one by one.
+# The node of nav2_costmap_2d is /costmap/costmap whatever its namespace, so that its topics and
+# services have to be remapped one by one.
 COSTMAP = "/costmap"
-NAMES_OF_COSTMAP = (
+COSTMAP_NAMES = (
     "clear_around_costmap",
     "clear_entirely_costmap",
     "clear_except_costmap",
@@ -55,17 +56,17 @@ NAMES_OF_COSTMAP = (
 )
 
 
-def others(context):
-    """Return what uses the depth."""
+def depth_consumers(context):
+    """Return the nodes that use the depth."""
     settings = PathJoinSubstitution([SHARE, "config", "obstacle_avoidance.yaml"])
-    picture = PathJoinSubstitution([SHARE, "config", "coded_aperture.rviz"])
+    rviz_config = PathJoinSubstitution([SHARE, "config", "coded_aperture.rviz"])
     file = LaunchConfiguration("params_file").perform(context)
-    files = [file] if file else []  # that it is a file, pipeline.launch.py has looked
-    around = context.launch_configurations.get("ros_namespace")
+    files = [file] if file else []  # pipeline.launch.py has checked that it exists
+    outer = context.launch_configurations.get("ros_namespace")
     namespace = LaunchConfiguration("namespace").perform(context)
-    root = (make_namespace_absolute(prefix_namespace(around, namespace)) or "").rstrip("/")
+    root = (make_namespace_absolute(prefix_namespace(outer, namespace)) or "").rstrip("/")
     risk = float(context.launch_configurations.get("free_space.risk") or 0)
-    # Relative topics of a layer are searched for beside the map, not beside the camera.
+    # Relative topics of a layer are resolved in the map's namespace, not in the camera's.
     marking = {"topic": f"{root}/depth/points"}
     clearing = {"topic": f"{root}/depth/free_points"} if risk > 0 else marking
     layer = {"voxel_layer": {"obstacles": marking, "free_space": clearing}}
@@ -83,9 +84,7 @@ def others(context):
             namespace=namespace,
             parameters=[settings, layer, *files],
             remappings=[
-                (f"{COSTMAP}/{name}", f"{root}{COSTMAP}/{name}")
-                for name in NAMES_OF_COSTMAP
-                if root
+                (f"{COSTMAP}/{name}", f"{root}{COSTMAP}/{name}") for name in COSTMAP_NAMES if root
             ],
         ),
         Node(
@@ -99,7 +98,7 @@ def others(context):
             package="rviz2",
             executable="rviz2",
             namespace=namespace,
-            arguments=["-d", picture],
+            arguments=["-d", rviz_config],
             condition=IfCondition(LaunchConfiguration("rviz")),
         ),
     ]
@@ -118,6 +117,6 @@ def generate_launch_description():
                 PythonLaunchDescriptionSource(pipeline),
                 launch_arguments={"settings_file": settings}.items(),
             ),
-            OpaqueFunction(function=others),
+            OpaqueFunction(function=depth_consumers),
         ]
     )

@@ -5,9 +5,9 @@ Example::
     ros2 launch coded_aperture_ros pipeline.launch.py camera_file:=/path/to/camera.yaml \
         near_m:=0.8 far_m:=3.0 source:=/dev/video0 namespace:=front params_file:=robot.yaml
 
-Nothing is set but what is given: what a launch file around this one sets with `SetParameter`
-holds, and `params_file` wins over all the rest. Name the nodes in it, as in `/**/depth_node:`. ROS
-lets what a file says of all nodes, `/**`, yield to what another one says of a node by its name.
+Only given arguments set parameters: those that an including launch file sets with `SetParameter`
+stay, and `params_file` wins over both. Name the nodes in it, as in `/**/depth_node:`, because in
+ROS a section for all nodes, `/**`, yields to a section of another file that names the node.
 """
 
 from pathlib import Path
@@ -22,7 +22,8 @@ from launch import LaunchDescription
 PACKAGE = "coded_aperture_ros"
 
 # Launch arguments that become parameters of the same name: (name, type, description, nodes).
-DRIVER, MODEL_USERS = ("camera_driver_node",), ("depth_node", "deblur_node")
+DRIVER = ("camera_driver_node",)
+MODEL_USERS = ("depth_node", "deblur_node")
 PARAMETERS = (
     ("camera_file", str, "Camera file (YAML)", (*DRIVER, *MODEL_USERS)),
     ("source", str, "simulator, camera index, device, URL, video or folder", DRIVER),
@@ -30,10 +31,10 @@ PARAMETERS = (
     ("bank", str, "Filter bank (.npz); empty: learn it from the camera file", MODEL_USERS),
     ("near_m", float, "Nearest depth in metres; needed without a bank", MODEL_USERS),
     ("far_m", float, "Farthest depth in metres; needed without a bank", MODEL_USERS),
-    ("free_space.risk", float, "Of the bound on free space; 0: no bound", ("depth_node",)),
+    ("free_space.risk", float, "Risk of the free-space bound; 0: no bound", ("depth_node",)),
 )
 ARGUMENTS = (
-    ("namespace", "", "Of all nodes"),
+    ("namespace", "", "Namespace of all nodes"),
     ("composed", "false", "All nodes in one process"),
     ("settings_file", "", "Parameter file of a launch file that includes this one"),
     ("params_file", "", "Parameter file that wins over everything else"),
@@ -45,28 +46,28 @@ def nodes(context):
         return LaunchConfiguration(name).perform(context)
 
     given = {name: kind(value(name)) for name, kind, _, _ in PARAMETERS if value(name)}
-    of_node = {
+    node_parameters = {
         node: {
             name: given[name] for name, _, _, users in PARAMETERS if name in given and node in users
         }
         for node in (*DRIVER, *MODEL_USERS)
     }
     if IfCondition(LaunchConfiguration("composed")).evaluate(context):
-        of_node = {"pipeline": given}
+        node_parameters = {"pipeline": given}
     files = [path for name in ("settings_file", "params_file") if (path := value(name))]
     for path in files:
-        if not Path(path).is_file():  # launch_ros would only warn, and go on without
+        if not Path(path).is_file():  # launch_ros would only warn
             raise RuntimeError(f"{path} is not a file")
     return [
         Node(  # without `name`, which would rename all three nodes of the pipeline
             package=PACKAGE,
             executable=executable,
             namespace=value("namespace"),
-            # The last one wins, and what is said of all nodes has to come before the rest.
+            # The last one wins, so that files come after the arguments.
             parameters=[*([parameters] if parameters else []), *files],
             output="screen",
         )
-        for executable, parameters in of_node.items()
+        for executable, parameters in node_parameters.items()
     ]
 
 

@@ -33,7 +33,11 @@ def generate_launch_description():
         *((camera, None, f"Camera file (YAML) of the {camera} camera") for camera in CAMERAS),
         *((f"{camera}_source", None, f"Source of the {camera} camera") for camera in CAMERAS),
         *(
-            (f"{camera}_frame_id", f"{camera}_optical_frame", "Its optical frame")
+            (
+                f"{camera}_frame_id",
+                f"{camera}_optical_frame",
+                f"Optical frame of the {camera} camera",
+            )
             for camera in CAMERAS
         ),
         *SHARED,
@@ -41,11 +45,11 @@ def generate_launch_description():
     return LaunchDescription(
         [
             *(
-                DeclareLaunchArgument(name, default_value=default, description=what)
-                for name, default, what in arguments
+                DeclareLaunchArgument(name, default_value=default, description=description)
+                for name, default, description in arguments
             ),
             *(
-                # A group, so that what the first camera is given is not left to the second one.
+                # A group, so that the arguments of the first camera do not reach the second one.
                 GroupAction(
                     [
                         IncludeLaunchDescription(

@@ -1,1 +1,1 @@
-"""What every room uses: errors, options with units and ranges, files, threads, timing."""
+"""Foundations of all rooms: errors, options with units and ranges, files, threads, timing."""

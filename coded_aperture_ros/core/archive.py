@@ -1,4 +1,4 @@
-"""Versioned `.npz` files of plain arrays: what is not ours, or newer, or cut off, is named."""
+"""Versioned `.npz` files of plain arrays; foreign, newer or truncated files are refused."""
 
 import io
 import os
@@ -16,20 +16,28 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 
-# zipfile raises a RuntimeError where damage looks like encryption, or like another compression;
-# there is not enough memory for an array whose damaged size is enormous; NumPy reads the headers of
-# old files with Python's own tokenizer.
-_DAMAGE = (
-    *(OSError, ValueError, EOFError, KeyError, RuntimeError, MemoryError),
-    *(SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error),
+# What NumPy raises for a damaged file.
+_DAMAGE_ERRORS = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    RuntimeError,  # of zipfile: the damage looks like encryption, or like another compression
+    MemoryError,  # the damaged size of an array is enormous
+    SyntaxError,  # NumPy reads the headers of old files with Python's own tokenizer
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
 )
+# A longer schema is not shown in messages.
+_LONGEST_SCHEMA = 80
 
 
 def write_archive(
     path: str | os.PathLike[str], schema: str, version: int, arrays: Mapping[str, Any]
 ) -> None:
-    """Write arrays to a compressed `.npz` that states its schema; whole or not at all."""
-    # In memory first: zipfile complains, besides raising, if a disk is full.
+    """Write arrays to a compressed `.npz` with its schema and version, whole or not at all."""
+    # In memory first: zipfile writes to stderr, beside raising, if a disk is full.
     content = io.BytesIO()
     np.savez_compressed(content, schema=schema, schema_version=version, **arrays)
     with atomic_output(path) as temporary:
@@ -39,11 +47,33 @@ def write_archive(
 def read_archive(
     path: str | os.PathLike[str], schema: str, version: int, *, foreign: bool = False
 ) -> dict[str, NDArray[Any]]:
-    """Read the arrays of a `.npz` by their names, without ever unpickling.
+    """Arrays of a `.npz` by their names; nothing is unpickled.
 
-    `schema` is what the file must say that it is, and `version` the newest that can be read; with
-    `foreign` a file that does not state a schema is welcome too. Raises `InputError`, naming the
-    file, if it is missing, cut off, of another kind or of a newer version.
+    Parameters
+    ----------
+    path : path
+    schema : str
+        Kind of file that is expected.
+    version : int
+        Newest version that can be read.
+    foreign : bool
+        Whether a file that does not state a schema is read, too.
+
+    Raises
+    ------
+    InputError
+        If the file is missing, truncated, of another kind or of a newer version.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "numbers.npz"
+    ...     write_archive(path, "example", 1, {"squares": [0, 1, 4]})
+    ...     arrays = read_archive(path, "example", 1)
+    >>> arrays["squares"]
+    array([0, 1, 4])
     """
     path = Path(path)
     try:
@@ -58,14 +88,18 @@ def read_archive(
         raise
     except FileNotFoundError:
         raise InputError(f"{path}: no such file (a {schema} was expected)") from None
-    except _DAMAGE as error:
+    except _DAMAGE_ERRORS as error:
         if isinstance(error, OSError) and error.errno:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
         raise InputError(
             f"{path}: cannot be read as a {schema}: truncated, or not an .npz of plain arrays"
         ) from error
     stated = arrays.get("schema", np.array(""))
-    found = str(stated) if stated.ndim == 0 and len(str(stated)) < 80 else "some other .npz file"
+    found = (
+        str(stated)
+        if stated.ndim == 0 and len(str(stated)) < _LONGEST_SCHEMA
+        else "some other .npz file"
+    )
     if found != schema and not (foreign and not found):
         raise InputError(f"{path}: expected a {schema}, this is {found or 'some other .npz file'}")
     if _stated_version(arrays) > version:
@@ -78,7 +112,7 @@ def read_archive(
 
 @cache
 def read_shipped(module_file: str, name: str, schema: str, version: int) -> dict[str, NDArray[Any]]:
-    """Read an archive that lies beside a module of the package; once for all."""
+    """Arrays of an archive that lies beside a module of the package; read once."""
     return read_archive(Path(module_file).with_name(name), schema, version)
 
 

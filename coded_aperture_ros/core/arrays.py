@@ -1,4 +1,4 @@
-"""Short names for the arrays of which nearly everything here is made."""
+"""Types of arrays."""
 
 from typing import Any
 
@@ -14,5 +14,5 @@ Shape = tuple[int, int]  # rows and columns
 
 
 def as_floats(values: NDArray[Any]) -> FloatArray:
-    """Return numbers as float32, row by row in memory; they are copied only where they are not."""
+    """Contiguous float32 array of numbers; copied only if they are not one already."""
     return np.ascontiguousarray(values, np.float32)

@@ -1,4 +1,4 @@
-"""Tell when NumPy runs on the slow reference BLAS, as it may where apt installed it."""
+"""Detection of the slow reference BLAS, which NumPy from apt may use."""
 
 from pathlib import Path
 
@@ -9,12 +9,16 @@ SLOW_BLAS_WARNING = (
 
 
 def slow_blas_warning(maps: Path = Path("/proc/self/maps")) -> str | None:
-    """Return a one-line warning with its remedy, or None where there is nothing to say.
+    """Warning, in one line with its remedy; None if another BLAS is used, or it is unknown.
 
-    Debian and Ubuntu choose among BLAS libraries by a link; the list of mapped files of this
-    process shows what the link led to: `.../blas/libblas.so.3.12.0` is the reference, while
-    OpenBLAS, BLIS and ATLAS lie in folders of their own. Wheels bring OpenBLAS along. `maps` is the
-    memory map of the process, in the format of Linux; elsewhere nothing is detected.
+    Debian and Ubuntu choose among BLAS libraries by a link. The mapped files of this process show
+    which one was loaded: `.../blas/libblas.so.3.12.0` is the reference; OpenBLAS, BLIS and ATLAS
+    lie in folders of their own. Wheels contain OpenBLAS.
+
+    Parameters
+    ----------
+    maps : Path
+        Memory map of the process, in the format of Linux; None is returned where there is none.
     """
     import numpy as np
 

@@ -9,9 +9,17 @@ from coded_aperture_ros.core.errors import InputError
 
 @contextmanager
 def dask_client(address: str) -> Iterator[Any]:
-    """Yield a client of a Dask scheduler, as `--scheduler` names it.
+    """Client of a Dask scheduler, closed at the end of the block.
 
-    Raises `InputError` if Dask is not installed, or no scheduler answers.
+    Parameters
+    ----------
+    address : str
+        As given to `--scheduler`.
+
+    Raises
+    ------
+    InputError
+        If Dask is not installed, or no scheduler answers.
     """
     try:
         from distributed import Client

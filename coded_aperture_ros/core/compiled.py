@@ -1,4 +1,4 @@
-"""Loops that numba compiles; where it is not installed, NumPy does the same in more passes."""
+"""Loops that numba compiles; without numba, NumPy computes the same in more passes."""
 
 import contextlib
 import logging
@@ -10,22 +10,45 @@ _COMPILING = threading.Lock()
 
 
 class Compiled:
-    """One function in two forms: a loop, and what stands for it without numba.
+    """Function in two forms: a loop for numba, and its replacement without numba.
 
-    The loop is compiled when it is first called, which takes a second or two, and kept on disk for
-    the next time. Other threads go on while it runs. `loop` is made of plain loops over its arrays,
-    some of which it writes to, and returns nothing; `plain` does the same by NumPy. Only with
-    `finite` False may there be NaN and infinite values.
+    The loop is compiled at the first call, which takes a second or two, and cached on disk. It
+    runs without Python's global lock.
+
+    Parameters
+    ----------
+    loop : callable
+        Plain loops over its arrays, some of which it writes to; returns nothing.
+    plain : callable
+        The same with NumPy.
+    finite : bool
+        Whether all values are finite; with False there may be NaN and infinite ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> def double_loop(values, doubled):
+    ...     for index in range(values.size):
+    ...         doubled[index] = 2 * values[index]
+    >>> def double_plain(values, doubled):
+    ...     np.multiply(values, 2, out=doubled)
+    >>> double = Compiled(double_loop, double_plain)
+    >>> doubled = np.zeros(3)
+    >>> double(np.arange(3.0), doubled)
+    >>> doubled
+    array([0., 2., 4.])
     """
 
     def __init__(
         self, loop: Callable[..., None], plain: Callable[..., None], *, finite: bool = True
     ) -> None:
-        self.loop, self.plain, self._finite = loop, plain, finite
+        self.loop = loop
+        self.plain = plain
+        self._finite = finite
         self._chosen: Callable[..., None] | None = None
 
     def __call__(self, *arrays: Any) -> None:
-        """Run the faster one of the two."""
+        """Run the compiled loop, or else the replacement."""
         tried = self._chosen
         if tried is not None:
             with contextlib.suppress(Exception):  # arrays of another layout are compiled anew
@@ -37,7 +60,7 @@ class Compiled:
         return self(*arrays)
 
     def _choose(self, arrays: tuple[Any, ...]) -> Callable[..., None]:
-        """Return the form that works, having run it."""
+        """Form that works here; it has been run with the arrays."""
         why: Exception | None = None
         for cache in (True, False):  # the folder may be missing, full, or hold a broken file
             try:
@@ -46,13 +69,13 @@ class Compiled:
                 compiled: Callable[..., None] = njit(
                     cache=cache, nogil=True, fastmath=self._finite
                 )(self.loop)
-                compiled(*arrays)  # compiles it first: what fails has not begun to write
+                compiled(*arrays)  # compiles it first: a failure leaves the arrays as they are
                 return compiled
             except Exception as error:
                 why = error
         if not isinstance(why, ImportError):
             logging.getLogger(__name__).warning(
-                f"numba cannot compile here, NumPy does the work more slowly: {why!r}"
+                f"numba cannot compile here, using NumPy, which is slower: {why!r}"
             )
         self.plain(*arrays)
         return self.plain

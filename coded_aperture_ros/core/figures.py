@@ -1,20 +1,21 @@
-"""Figures on disk. Needs matplotlib, which is imported only when drawing; no window is opened."""
+"""Figures in files, by matplotlib, which is imported only when drawing; no window is opened."""
 
 import os
 from typing import IO, Any
 
 from coded_aperture_ros.core.errors import InputError
 
+# Width and height of one panel of a figure, inches.
 PANEL_INCHES = 3.0
 _DOTS_PER_INCH = 100
-# Or an open file, for which the format is PNG.
+# A path, or an open file that gets PNG.
 PathLike = str | os.PathLike[str] | IO[bytes]
 
 
 def new_figure(
     width_inches: float, height_inches: float, layout: str | None = "constrained"
 ) -> Any:
-    """Return an empty figure; an `InputError` where matplotlib is not installed."""
+    """Empty figure; an `InputError` if matplotlib is not installed."""
     try:
         from matplotlib.figure import Figure
     except ImportError as error:
@@ -23,7 +24,7 @@ def new_figure(
 
 
 def save_figure(figure: Any, path: PathLike) -> None:
-    """Write a figure to a file; an `InputError` where that is not possible."""
+    """Write a figure to a file; an `InputError` if it cannot be written."""
     try:
         figure.savefig(path, dpi=_DOTS_PER_INCH)
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Writing files so that a reader never sees half of one."""
+"""Output files: written whole or not at all, and checked before long work."""
 
 import os
 import shutil
@@ -12,11 +12,25 @@ from coded_aperture_ros.core.errors import InputError
 
 @contextmanager
 def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
+    """Temporary path beside `path`, which is renamed to `path` if the block succeeds.
 
-    The block must write to the temporary path, whose name keeps the suffix, because encoders choose
-    their format by it. Missing parent folders of `path` are created. Raises `InputError` if the
-    folder cannot be created or written to, or the disk is full.
+    The block must write to the temporary path. Its name keeps the suffix, because encoders choose
+    their format by it. Missing parent folders of `path` are created.
+
+    Raises
+    ------
+    InputError
+        If the folder cannot be created or written to, or the disk is full.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = Path(folder) / "new" / "words.txt"
+    ...     with atomic_output(path) as temporary:
+    ...         _ = temporary.write_text("all of it")
+    ...     path.read_text()
+    'all of it'
     """
     target = Path(path)
     try:
@@ -30,7 +44,7 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        _give_usual_permissions(temporary)
+        _apply_umask(temporary)
         temporary.replace(target)
     except OSError as error:
         raise InputError(f"cannot write {target}: {error.strerror or error}") from error
@@ -40,10 +54,15 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
-    """Yield `atomic_output` for several files, none of which appears before the block succeeds.
+    """Several files written as by `atomic_output`; none appears before the block succeeds.
 
-    What is yielded gets the file to create or replace, and returns where the block must write it.
-    Raises `InputError` as `atomic_output` does.
+    Yields a function that takes the path of a file to create or replace, and returns the temporary
+    path that the block must write to.
+
+    Raises
+    ------
+    InputError
+        As `atomic_output` does.
     """
     with ExitStack() as files:
         yield lambda path: files.enter_context(atomic_output(path))
@@ -51,8 +70,8 @@ def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
 
 @contextmanager
 def temporary_folder(path: Path) -> Iterator[Path]:
-    """Yield a folder beside `path`, and remove it in the end, with parents made for it."""
-    made = [parent for parent in path.absolute().parents if not parent.exists()]
+    """Temporary folder beside `path`; removed at the end, with parents created for it."""
+    created = [parent for parent in path.absolute().parents if not parent.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
         temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
@@ -62,20 +81,20 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             shutil.rmtree(temporary, ignore_errors=True)
     finally:
         if not path.exists():
-            for parent in made:
+            for parent in created:
                 with suppress(OSError):
                     parent.rmdir()
 
 
-def _give_usual_permissions(path: Path) -> None:
-    # mkstemp makes files private; an output file should obey the user's umask like any other.
+def _apply_umask(path: Path) -> None:
+    """Give a file, which mkstemp makes private, the permissions of any new file."""
     umask = os.umask(0)
     os.umask(umask)
     path.chmod(0o666 & ~umask)
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
-    """Raise an `InputError` unless an output's name ends in one of the formats to write."""
+    """Raise an `InputError` unless an output's name ends in one of the suffixes."""
     if Path(path).suffix.lower() not in suffixes:
         raise InputError(f"{path}: unknown format, use a name that ends in {' or '.join(suffixes)}")
 
@@ -86,13 +105,25 @@ def check_output(
     suffixes: Sequence[str] = (),
     others: Iterable[Path] = (),
 ) -> None:
-    """Check that a file, or several, can be written, without writing them.
+    """Check that one file or several can be written, without writing them.
 
-    An `InputError` says why one cannot, and what to do instead; where it is one of the existing
-    files `inputs`, that it must not be overwritten. `suffixes` are those of
-    `check_suffix`, if any. `others` are outputs that were checked before.
+    Parameters
+    ----------
+    paths : path or iterable of path
+    inputs : iterable of Path
+        Existing files that must not be overwritten.
+    suffixes : sequence of str
+        As of `check_suffix`; empty: any.
+    others : iterable of Path
+        Outputs that were checked before.
+
+    Raises
+    ------
+    InputError
+        If one cannot be written.
     """
-    taken, written = {*map(_identity, inputs)} - {None}, {path.resolve() for path in others}
+    taken = {*map(_identity, inputs)} - {None}
+    written = {path.resolve() for path in others}
     for path in [Path(paths)] if isinstance(paths, (str, os.PathLike)) else paths:
         if suffixes:
             check_suffix(path, suffixes)
@@ -110,12 +141,12 @@ def check_output(
         if not folder.is_dir():
             raise InputError(f"cannot write {path}: {folder} is not a folder")
         try:
-            # Permissions alone do not tell: a file system may be read-only.
+            # Permissions alone are not enough: the file system may be read-only.
             tempfile.TemporaryFile(dir=folder).close()
         except OSError as error:
             raise InputError(f"cannot write {path}: {folder}: {error.strerror or error}") from error
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Return what a file is told from others by, whatever they are called, if it exists."""
+    """Device and inode of a file, the same for all of its names; None if it does not exist."""
     return (path.stat().st_dev, path.stat().st_ino) if path.exists() else None

@@ -1,4 +1,4 @@
-"""Programs that are told to end clean up first."""
+"""Clean-up of programs that SIGTERM ends."""
 
 import contextlib
 import signal
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def sigterm_like_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C does, so that it cleans up."""
+    """Raise KeyboardInterrupt on SIGTERM in the block, as Ctrl-C does, so that it cleans up."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield

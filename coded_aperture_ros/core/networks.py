@@ -1,4 +1,4 @@
-"""What runs the small networks that ship: OpenCV, or ONNX Runtime in half of its time."""
+"""Runtimes of the networks that ship: OpenCV, or ONNX Runtime, which takes half of the time."""
 
 from collections.abc import Callable, Mapping
 from importlib.util import find_spec
@@ -10,12 +10,12 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 
 RUNTIMES = ("auto", "opencv", "onnxruntime")
-# From what a network is given, by its names, to what it says; not for several threads at once.
+# Takes the inputs of a network by their names, and returns its output; not thread-safe.
 Network = Callable[[Mapping[str, FloatArray]], FloatArray]
 
 
 def check_runtime(runtime: str) -> None:
-    """Check that a runtime is there; raises `InputError`, saying what is missing."""
+    """Raise an `InputError` if a runtime is not installed."""
     if runtime == "onnxruntime" and find_spec("onnxruntime") is None:
         raise InputError(
             "network: onnxruntime is not installed: in the folder of the checkout, pip install "
@@ -24,13 +24,27 @@ def check_runtime(runtime: str) -> None:
 
 
 def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int) -> Network:
-    """Return what runs a network of the file that it ships in.
+    """Function that runs a network.
 
-    ONNX Runtime, see `check_runtime`, computes in whole numbers of 8 bits; `auto` takes it where it
-    is installed. Raises `InputError` if OpenCV cannot run the network.
+    Parameters
+    ----------
+    arrays : mapping
+        Arrays of the file that the network ships in.
+    name : str
+        Of the network in that file.
+    runtime : str
+        One of `RUNTIMES`. `auto` is ONNX Runtime if it is installed; it runs the network quantised
+        to 8 bits.
+    threads : int
+        Of ONNX Runtime.
+
+    Raises
+    ------
+    InputError
+        If OpenCV cannot run the network.
     """
     if runtime == "onnxruntime" or (runtime == "auto" and find_spec("onnxruntime")):
-        return _in_whole_numbers(arrays[f"{name}_int8"].tobytes(), threads)
+        return _quantised_network(arrays[f"{name}_int8"].tobytes(), threads)
     try:
         network = cv2.dnn.readNetFromONNX(arrays[f"{name}_onnx"])
     except cv2.error as error:
@@ -39,20 +53,21 @@ def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int)
             "4.6 or newer, or semiglobal and inverse, which have none"
         ) from error
 
-    def run(given: Mapping[str, FloatArray]) -> FloatArray:
-        for key, values in given.items():
+    def run(inputs: Mapping[str, FloatArray]) -> FloatArray:
+        for key, values in inputs.items():
             network.setInput(values, key)
         return network.forward()
 
     return run
 
 
-def _in_whole_numbers(model: bytes, threads: int) -> Network:
+def _quantised_network(model: bytes, threads: int) -> Network:
+    """Network in whole numbers of 8 bits, run by ONNX Runtime."""
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
-    # Threads that wait for work would take the processors from everybody else.
+    # Threads that spin while they wait would take the processors from everything else.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-    return lambda given: session.run(None, dict(given))[0]
+    return lambda inputs: session.run(None, dict(inputs))[0]

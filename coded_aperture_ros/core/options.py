@@ -1,7 +1,6 @@
-"""Settings described once: defaults, units, ranges and help live in frozen dataclasses.
+"""Options of frozen dataclasses: default, unit, range and help, written in one place.
 
-ROS parameters, command-line options and YAML files are all derived from these dataclasses, so
-that a default or a range is written in one place only:
+ROS parameters, command-line options and YAML files are derived from them:
 
     temporal_frames: float = option(0.0, "...", parameter="temporal.frames")
 """
@@ -15,24 +14,44 @@ from coded_aperture_ros.core.errors import InputError
 
 @dataclasses.dataclass(frozen=True)
 class Option:
-    """What is known about one setting, kept in its dataclass field's metadata."""
+    """Description of one setting, in the metadata of its dataclass field.
 
-    description: str  # for help texts and ROS descriptors
-    unit: str = ""  # of the value, of `minimum` and of `maximum`
-    # Inclusive bounds.
+    Attributes
+    ----------
+    description : str
+        For help texts and ROS descriptors.
+    unit : str
+        Of the value and its bounds.
+    minimum, maximum : float or None
+        Inclusive bounds.
+    above : float or None
+        Exclusive lower bound.
+    choices : tuple or None
+        The only values allowed.
+    read_only : bool
+        Whether a running node cannot change it.
+    daily : bool
+        Whether `--help` shows it; `--help-all` shows every option.
+    needs : (str, value) or None
+        Field, and the value of it without which only the default is allowed.
+    parameter : str
+        Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
+    """
+
+    description: str
+    unit: str = ""
     minimum: float | None = None
     maximum: float | None = None
-    above: float | None = None  # exclusive lower bound
-    choices: tuple[Any, ...] | None = None  # the only values allowed
-    read_only: bool = False  # whether a running node cannot change it
-    daily: bool = False  # whether `--help` shows it; `--help-all` shows every option
-    needs: tuple[str, Any] | None = None  # field and value without which only the default goes
-    # Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
+    above: float | None = None
+    choices: tuple[Any, ...] | None = None
+    read_only: bool = False
+    daily: bool = False
+    needs: tuple[str, Any] | None = None
     parameter: str = ""
 
     @property
     def allowed(self) -> str:
-        """The allowed values, in words; empty where anything of the right type goes."""
+        """Allowed values, in words; empty if every value of the type is allowed."""
         if self.choices is not None:
             return "one of " + ", ".join(str(choice) or "''" for choice in self.choices)
         unit = f" {self.unit}" if self.unit else ""
@@ -50,10 +69,30 @@ class Option:
 def option(
     default: Any, description: str, *, within: tuple[float, float] | None = None, **described: Any
 ) -> Any:
-    """Declare a dataclass field that carries its `Option`.
+    """Dataclass field with its default and its `Option`.
 
-    The arguments after `default` are the attributes of `Option`; `within` are both bounds. An
-    unknown one is a TypeError where the class is defined.
+    Parameters
+    ----------
+    default
+    description : str
+    within : (float, float), optional
+        Both bounds.
+    **described
+        Further attributes of `Option`.
+
+    Examples
+    --------
+    >>> @dataclasses.dataclass(frozen=True)
+    ... class LensConfig:
+    ...     focus_m: float = option(1.0, "Focus distance", unit="m", within=(0.1, 100.0))
+    ...     def __post_init__(self):
+    ...         check_options(self)
+    >>> LensConfig(focus_m=2.0)
+    LensConfig(focus_m=2.0)
+    >>> LensConfig(focus_m=0.0)
+    Traceback (most recent call last):
+    ...
+    coded_aperture_ros.core.errors.InputError: focus_m: 0.0 is out of range (0.1 to 100 m)
     """
     if within is not None:
         described["minimum"], described["maximum"] = within
@@ -62,13 +101,13 @@ def option(
 
 
 def option_of(config: type, name: str) -> Any:
-    """Declare a dataclass field with default and `Option` of one of another configuration."""
+    """Dataclass field with the default and the `Option` of a field of another configuration."""
     field, known = options_of(config)[name]
     return dataclasses.field(default=field.default, metadata={"option": known})
 
 
 def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
-    """Return `{name: (field, option)}` of a configuration dataclass or an instance of one."""
+    """`{name: (field, option)}` of a configuration dataclass or an instance of one."""
     return {
         field.name: (field, field.metadata["option"])
         for field in dataclasses.fields(config)
@@ -77,10 +116,10 @@ def options_of(config: Any) -> dict[str, tuple[dataclasses.Field[Any], Option]]:
 
 
 def parameter_names(config: Any) -> dict[str, str]:
-    """Return `{field name: name of the ROS parameter}` of a configuration dataclass.
+    """`{field name: name of the ROS parameter}` of a configuration dataclass.
 
-    With a `parameter_group` of ``motion.`` those of its fields `motion_rank` and `finalists` are
-    ``motion.rank`` and ``motion.finalists``, unless their options say another name.
+    With a `parameter_group` of ``motion.`` the fields `motion_rank` and `finalists` have the
+    parameters ``motion.rank`` and ``motion.finalists``, unless their options give another name.
     """
     group = getattr(config, "parameter_group", "")
     return {
@@ -92,8 +131,12 @@ def parameter_names(config: Any) -> dict[str, str]:
 def check_options(config: Any) -> None:
     """Check every option of a dataclass instance against its type, choices and range.
 
-    Meant to be called from `__post_init__`. Raises `InputError`, naming the setting, its value and
-    what is allowed.
+    To be called in `__post_init__`; see `option`.
+
+    Raises
+    ------
+    InputError
+        If a value is not allowed, with the setting, its value and the allowed values.
     """
     for name, (field, described) in options_of(config).items():
         value = getattr(config, name)
@@ -105,7 +148,7 @@ def check_options(config: Any) -> None:
 
 
 def check_option(name: str, value: Any, expected: type, described: Option) -> None:
-    """Check one value; see `check_options`."""
+    """Raise an `InputError` if a value is not allowed; see `check_options`."""
     allowed = f" ({described.allowed})" if described.allowed else ""
     if not has_type(value, expected):
         raise InputError(f"{name}: expected {expected.__name__}{allowed}, got {value!r}")
@@ -121,7 +164,13 @@ def check_option(name: str, value: Any, expected: type, described: Option) -> No
 
 
 def has_type(value: Any, expected: type) -> bool:
-    """Return whether a value is of a type: integers are floats too, true and false no numbers."""
+    """Whether a value is of a type: an integer is a float, too; a bool is not a number.
+
+    Examples
+    --------
+    >>> has_type(1, float), has_type(True, int)
+    (True, False)
+    """
     if isinstance(value, bool):
         return expected is bool
     return isinstance(value, (int, float) if expected is float else expected)

@@ -1,4 +1,4 @@
-"""Processes that share work of which each piece takes long."""
+"""Work shared by processes, for items that take long."""
 
 import multiprocessing
 import signal
@@ -18,23 +18,23 @@ Result = TypeVar("Result")
 def map_in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], jobs: int, unit: str
 ) -> list[Result]:
-    """Return the result for every item, in order, with a progress bar.
+    """Result for every item, in order, with a progress bar.
 
     Parameters
     ----------
     work : callable
-        A module's function, so that another process can import it.
+        Function of a module, so that another process can import it.
     items : sequence
-        What it is called with, one at a time.
+        Its argument, one for each call.
     jobs : int
-        Number of processes; with 1 all happens in this one.
+        Number of processes; with 1 everything runs in this one.
     unit : str
-        What an item is called beside the progress bar.
+        Word for an item beside the progress bar.
 
     Raises
     ------
     InputError
-        If a process ends by itself.
+        If a process dies.
     """
     jobs = min(jobs, len(items))
     if jobs <= 1:
@@ -49,10 +49,10 @@ def map_in_processes(
                 future.result()  # the first error ends the run
         except BrokenProcessPool as error:
             raise InputError(
-                "a process ended by itself, perhaps for lack of memory: use fewer --jobs"
+                "a process died, perhaps for lack of memory: use fewer --jobs"
             ) from error
         except BaseException:
-            # Pieces take minutes: do not wait for those that are under way.
+            # Items take minutes: do not wait for those in work.
             pool.shutdown(wait=False, cancel_futures=True)
             for process in multiprocessing.active_children():
                 process.terminate()
@@ -62,9 +62,9 @@ def map_in_processes(
 
 @contextmanager
 def _interrupts_wait() -> Iterator[None]:
-    """Start processes that take no Ctrl-C, which a terminal sends to all: we answer it for them.
+    """Block SIGINT while processes start: they inherit it, and leave Ctrl-C to this process.
 
-    They inherit what is blocked. One that comes meanwhile is not lost: it is answered right after.
+    A terminal sends Ctrl-C to all of them. One that comes meanwhile is delivered right after.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -74,10 +74,7 @@ def _interrupts_wait() -> Iterator[None]:
 
 
 def _use_one_thread() -> None:
-    """Leave the other processors to the other processes.
-
-    BLAS reads its environment, which `coded_aperture` has set, when NumPy is imported.
-    """
+    """Let OpenCV use one thread; BLAS has read its environment, set by `coded_aperture`."""
     import cv2
 
     cv2.setNumThreads(1)

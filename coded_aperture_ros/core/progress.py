@@ -1,34 +1,52 @@
-"""Progress of what takes long, as a callback and as a bar on a terminal; times of its parts."""
+"""Progress callbacks, progress bars on a terminal, and the times of the parts of the work."""
 
 import sys
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
 
-# Takes the steps of something that takes long, and yields them one by one; `iter` shows nothing.
+# Progress callback: takes the steps of long work, and yields them one by one; `iter` shows nothing.
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
-_DELAY_S = 2
+# Shorter work has no progress bar.
+_BAR_DELAY_S = 2
 
 
 def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -> Iterable[Any]:
-    """Return `items`, with a progress bar on stderr if that is a terminal, after two seconds."""
+    """`items`, with a progress bar on stderr if that is a terminal; it appears after 2 s.
+
+    Parameters
+    ----------
+    items : iterable
+    total : int, optional
+        Number of items, if `items` has no length.
+    unit : str
+        Word for an item.
+    """
     if not sys.stderr.isatty():
         return items
     from tqdm import tqdm
 
-    return tqdm(items, total=total, unit=unit, delay=_DELAY_S, leave=False)
+    return tqdm(items, total=total, unit=unit, delay=_BAR_DELAY_S, leave=False)
 
 
 class LapTimer:
-    """Times of the parts of one frame's work, in the order in which they were done.
+    """Times of the parts of one frame's work, in order.
 
-    The first part begins with the timer.
+    The first part begins when the timer is made.
 
     Attributes
     ----------
     seconds : dict of str to float
-        Time of every part, by its name.
+        Time of every part, by its name, s.
+
+    Examples
+    --------
+    >>> timer = LapTimer()
+    >>> timer.lap("observe")
+    >>> timer.lap("decode")
+    >>> list(timer.seconds)
+    ['observe', 'decode']
     """
 
     def __init__(self) -> None:
@@ -36,7 +54,7 @@ class LapTimer:
         self._last_s = time.perf_counter()
 
     def lap(self, part: str) -> None:
-        """End a part: the time since the last lap adds to what it has taken so far."""
+        """End a part: the time since the last lap is added to its time."""
         now = time.perf_counter()
         self.seconds[part] = self.seconds.get(part, 0.0) + now - self._last_s
         self._last_s = now

@@ -1,4 +1,4 @@
-"""Where the package's camera files, profiles and parameter files are."""
+"""Shared files of the package (camera files, profiles), and the environment that DDS needs."""
 
 import os
 from pathlib import Path
@@ -6,16 +6,25 @@ from pathlib import Path
 from coded_aperture_ros.core.errors import InputError
 
 _PACKAGE = "coded_aperture_ros"
-# Four processes with a segment of 64 MiB each.
+# Room for the segments of four processes, 64 MiB each, MiB.
 SHARED_MEMORY_MB = 280
 
 
 def share_directory() -> Path:
-    """Return the folder that has the `config` folder of this package in it.
+    """Folder that contains the `config` folder of this package; needs no ROS.
 
-    That is `PREFIX/share/coded_aperture_ros` where the package is installed (by pip, colcon or a
-    system package), and the source checkout where it runs from there. No ROS is needed. Raises
-    `InputError` if the package was copied without its shared files.
+    It is `PREFIX/share/coded_aperture_ros` if the package is installed (by pip, colcon or a system
+    package), or else the source checkout.
+
+    Raises
+    ------
+    InputError
+        If the package was copied without its shared files.
+
+    Examples
+    --------
+    >>> (share_directory() / "config" / "demo_camera.yaml").is_file()
+    True
     """
     here = Path(__file__).resolve()
     for parent in here.parents:
@@ -30,12 +39,12 @@ def share_directory() -> Path:
 
 
 def shared_memory_profile() -> Path:
-    """Return the settings with which Fast DDS hands large messages over in shared memory."""
+    """Path of the settings with which Fast DDS transfers large messages in shared memory."""
     return share_directory() / "config" / "fastdds_shared_memory.xml"
 
 
 def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
-    """Return whether there is room for the segments; containers often have 64 MB only."""
+    """Whether there is room for the segments; containers often have 64 MB only."""
     try:
         status = os.statvfs(folder)
     except OSError:
@@ -44,7 +53,10 @@ def shared_memory_suffices(folder: str = "/dev/shm") -> bool:
 
 
 def private_network(shared_memory: bool) -> dict[str, str]:
-    """Return the environment that keeps the topics of our processes apart from any robot's."""
+    """Environment that keeps the topics of new processes apart from those of any robot.
+
+    Variables that would override it are removed from the environment of this process.
+    """
     for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):
         os.environ.pop(name, None)
     environment = {

@@ -6,7 +6,15 @@ from typing import Any
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return aligned columns, the first to the left and the others to the right."""
+    """Table of aligned columns, the first to the left and the others to the right.
+
+    Examples
+    --------
+    >>> print(table(["scene", "error"], [["stair", "1.5 %"], ["plane", "10 %"]]))
+    scene  error
+    stair  1.5 %
+    plane   10 %
+    """
     lines = [header, *rows]
     widths = [max(len(line[column]) for line in lines) for column in range(len(header))]
     return "\n".join(
@@ -19,18 +27,31 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def columns(rows: Iterable[Mapping[str, Any]], described: Mapping[str, Any]) -> str:
-    """Return a table with a line for each row.
+    """Table with a line for each row.
 
     Parameters
     ----------
     rows : iterable of mapping
     described : mapping of str to str or callable
-        For each column's title a format such as ``"{seconds:.1f} s"``, or a function of the row.
+        For the title of each column a format such as ``"{seconds:.1f} s"``, or a function of the
+        row.
+
+    Examples
+    --------
+    >>> print(columns([{"name": "depth", "s": 0.123}], {"stage": "{name}", "time": "{s:.2f} s"}))
+    stage    time
+    depth  0.12 s
     """
     forms = [form if callable(form) else form.format_map for form in described.values()]
     return table(list(described), [[form(row) for form in forms] for row in rows])
 
 
 def rounded(value: float, digits: int) -> float | None:
-    """Return a number for JSON, None where it is not finite."""
+    """Rounded number for JSON; None if it is not finite.
+
+    Examples
+    --------
+    >>> rounded(1.2345, 2), rounded(float("nan"), 2)
+    (1.23, None)
+    """
     return round(float(value), digits) if math.isfinite(value) else None

@@ -11,18 +11,36 @@ Item = TypeVar("Item")
 First = TypeVar("First")
 Second = TypeVar("Second")
 
-# More of them than this share the work on one frame only if somebody says so.
+# Most threads that are used unless a setting asks for more.
 _AUTOMATIC_THREADS = 4
 
 
 class Workers:
-    """Runs a function on many items in a fixed number of threads.
+    """Fixed number of threads that run a function on many items.
 
-    NumPy and OpenCV let other threads run while they compute, so that plain threads suffice as
-    long as each call has enough to do. The numerical libraries themselves should use one thread
-    each beside this (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set). Raises
-    `InputError` if there are fewer processors. There are at most as many `threads` as processors,
-    and the calling thread is one of them. What they run must not ask the same workers for more.
+    NumPy and OpenCV release Python's global lock while they compute, so that plain threads suffice
+    as long as each call has enough to do. The numerical libraries themselves should use one thread
+    each (``OPENBLAS_NUM_THREADS=1``, which the nodes and the command line set). A function that
+    workers run must not call the same workers.
+
+    Parameters
+    ----------
+    threads : int
+        Number of threads, with the calling one; at most the number of processors.
+
+    Raises
+    ------
+    InputError
+        If there are fewer processors.
+
+    Examples
+    --------
+    >>> workers = Workers(threads=1)
+    >>> squares = {}
+    >>> workers.each(lambda item, thread: squares.update({item: item**2}), [1, 2, 3])
+    >>> squares
+    {1: 1, 2: 4, 3: 9}
+    >>> workers.close()
     """
 
     def __init__(self, threads: int = 1) -> None:
@@ -35,16 +53,21 @@ class Workers:
     ) -> None:
         """Call ``work(item, thread)`` for every item; `thread` counts from 0.
 
-        No two calls with the same `thread` overlap, so that it can choose among buffers. With
-        `sums` the same items always go to the same thread: what is added up in the order of the
-        calls would otherwise differ in its last digits.
+        Parameters
+        ----------
+        work : callable
+            Calls with the same `thread` do not overlap, so that it can choose among buffers.
+        items : sequence
+        sums : bool
+            Static scheduling: the same items always go to the same thread. Needed where results
+            are added up, which would otherwise differ in their last digits.
         """
         if self._others is None:
             for item in items:
                 work(item, 0)
             return
 
-        # Whoever is free takes the next: processors are not always equally fast.
+        # Dynamic scheduling: processors are not always equally fast.
         remaining = iter(items)
 
         def share(thread: int) -> None:
@@ -55,14 +78,14 @@ class Workers:
         try:
             share(0)
         finally:
-            wait(others)  # buffers are theirs until then
+            wait(others)  # they use the buffers until then
         for other in others:
             other.result()
 
     def both(
         self, first: Callable[[], First], second: Callable[[], Second]
     ) -> tuple[First, Second]:
-        """Call two functions, in two threads if there are; return what they return."""
+        """Results of two functions, called in two threads if there are as many."""
         if self._others is None:
             return first(), second()
         other = self._others.submit(second)
@@ -79,26 +102,29 @@ class Workers:
 
 
 def processors() -> int:
-    """Return the number of processors that this process may use."""
+    """Number of processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def check_threads(threads: int) -> None:
-    """Refuse more threads than there are processors, by an `InputError`."""
+    """Raise an `InputError` if there are fewer processors than threads."""
     available = processors()
     if not 1 <= threads <= available:
         raise InputError(
-            f"threads: {threads} is out of range: this machine has {available} processor(s) to "
-            f"work with, use at most {available}"
+            f"threads: {threads} is out of range: this machine has {available} processor(s), "
+            f"use 1 to {available}"
         )
 
 
 def thread_count(threads: int) -> int:
-    """Return how many threads a setting means on this machine; 0: all processors, four at most.
+    """Number of threads for a setting; 0: all processors, at most 4.
 
-    Raises `InputError` if there are fewer processors.
+    Raises
+    ------
+    InputError
+        If there are fewer processors.
     """
     threads = threads or min(processors(), _AUTOMATIC_THREADS)
     check_threads(threads)
