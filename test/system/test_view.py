@@ -19,10 +19,10 @@ from waiting import scaled, wait_until
 
 aiohttp = pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
-from coded_aperture_viewer.aid import aid_of, wall_of  # noqa: E402
 from coded_aperture_viewer.packet import BEYOND, NEARER, steps  # noqa: E402
 from coded_aperture_viewer.refocus import refocused  # noqa: E402
 from coded_aperture_viewer.settings import LookConfig, Settings  # noqa: E402
+from coded_aperture_viewer.setup_figures import find_wall, setup_figures  # noqa: E402
 from coded_aperture_viewer.show import Options, make_server  # noqa: E402
 from live_page import CHROMIUM, page_at  # noqa: E402
 
@@ -138,13 +138,13 @@ def test_a_wall_is_measured_and_clutter_is_none():
     depth = (wall * (1 + 0.02 * random.standard_normal(wall.shape))).astype(np.float32)
     depth[: rows // 4, : columns // 2] = 1.2  # somebody stands before it
     depth[:, -columns // 6 :] = np.nan
-    found = wall_of(depth, camera)
+    found = find_wall(depth, camera)
     assert found.distance_m == pytest.approx(2.0, rel=0.01)
     assert found.right_nearer_deg == pytest.approx(8.0, abs=0.8)
     assert found.lower_nearer_deg == pytest.approx(-3.0, abs=0.8)
     assert found.uneven == pytest.approx(0.67 * 0.02, rel=0.4)
-    assert wall_of(random.uniform(1, 3, wall.shape).astype(np.float32), camera) is None
-    assert wall_of(np.full_like(depth, np.nan), camera) is None
+    assert find_wall(random.uniform(1, 3, wall.shape).astype(np.float32), camera) is None
+    assert find_wall(np.full_like(depth, np.nan), camera) is None
 
 
 def test_sharpness_is_largest_in_focus():
@@ -157,12 +157,12 @@ def test_sharpness_is_largest_in_focus():
         light = 0.2 + 0.5 * cv2.GaussianBlur(page, None, blur) + noise
         maps = np.full(page.shape, np.nan, np.float32)
         nothing = DepthEstimate(maps, maps, None, np.zeros_like(maps), 0.01)
-        aid = aid_of(light, nothing, small_camera())
+        aid = setup_figures(light, nothing, small_camera())
         assert (aid.wall, aid.known, aid.clipped) == (None, 0, 0) and 0.4 < aid.light < 0.5
         found.append(aid.sharpness)
     assert found == sorted(found, reverse=True) and found[2] < 0.3 * found[0]
     dark = np.zeros_like(page) + noise
-    assert aid_of(dark, nothing, small_camera()).sharpness < 0.05
+    assert setup_figures(dark, nothing, small_camera()).sharpness < 0.05
 
 
 def test_depths_are_sent_in_steps():

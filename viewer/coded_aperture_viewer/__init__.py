@@ -1,5 +1,5 @@
-"""What a coded-aperture camera sees, live on a page in the browser. No ROS in here.
+"""Live view of a coded-aperture camera on a page in the browser, without ROS.
 
-`live` works on frames in a thread, `packet` puts what comes of them into bytes, `server` sends
-these to the page (`page.html`) and takes its settings, and `command` is the command line.
+`live` processes frames in a thread, `packet` encodes the results, `server` sends them to the page
+(`page.html`) and receives its settings, and `show` starts everything.
 """

@@ -1,4 +1,4 @@
-"""Works on the frames of a source in a thread, as long as somebody watches."""
+"""Thread that processes the frames of a source, while a page is open."""
 
 import dataclasses
 import logging
@@ -19,30 +19,35 @@ from coded_aperture_ros.sources import Capture, Source
 from coded_aperture_viewer.refocus import refocused
 from coded_aperture_viewer.settings import LookConfig, Settings
 
-# Depth comes first: after a picture has taken some time, this many times as long without one.
+# Depth has priority: after a picture has taken some time, none is made for so many times as long.
 _DEPTH_TO_PICTURES = 10.0
-_IDLE_S, _RETRY_S = 0.1, 1.0
-_MEASURED = 20
+# Between two looks at the settings while paused.
+_IDLE_S = 0.1
+# Pause after a frame that could not be read.
+_RETRY_S = 1.0
+# Frames over which the rate is measured.
+_RATE_FRAMES = 20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shown:
-    """A frame and what was made of it.
+    """Frame and its results.
 
     Attributes
     ----------
     capture : Capture or None
-        As the source gave it.
+        From the source.
     frame : ndarray or None
-        In linear light.
+        Linear light, float32 [rows, columns(, 3)].
     estimate : DepthEstimate or None
     sharp, picture : ndarray or None
-        All in focus, and as it is looked at. Not every frame has one.
+        All-in-focus picture, and the picture that is displayed, of the shape of `frame`; not every
+        frame has them.
     settings : Settings
     rate_hz, latency_s : float
-        Frames per second lately, and how long this one took.
+        Frames per second over the last ones, and how long this one took.
     problem : str
-        Why something is missing; empty if nothing is.
+        Why a result is missing; empty if none is.
     """
 
     settings: Settings
@@ -57,20 +62,22 @@ class Shown:
 
 
 class Live:
-    """Reads frames, estimates depth, and hands over what came of it.
+    """Thread that reads frames, estimates depth and makes pictures.
 
     Parameters
     ----------
     source : Source
+        It is closed at the end.
     pipeline : FramePipeline
-        It is closed in the end.
+        It is closed at the end.
     settings : Settings
-        To begin with.
-    stored : PixelFormat
+        First settings.
+    pixel_format : PixelFormat
+        Of the frames.
     period_s : float
-        Between the frames of a source that is not live and does not say when they were taken.
+        Between the frames of a source that is not live.
     show : callable
-        Gets every `Shown`, in the thread that works.
+        Called with every `Shown`, in this thread.
     """
 
     def __init__(
@@ -78,30 +85,34 @@ class Live:
         source: Source,
         pipeline: FramePipeline,
         settings: Settings,
-        stored: PixelFormat,
+        pixel_format: PixelFormat,
         period_s: float,
         show: Callable[[Shown], None],
     ) -> None:
         self.settings = settings
-        self._source, self._pipeline, self._show = source, pipeline, show
-        self._camera = pipeline.estimator.camera  # for frames of the size that it says
-        self._stored, self._period_s = stored, period_s
-        self._watched, self._stopping = threading.Event(), threading.Event()
+        self._source = source
+        self._pipeline = pipeline
+        self._show = show
+        self._camera = pipeline.estimator.camera  # of the size in its file
+        self._pixel_format = pixel_format
+        self._period_s = period_s
+        self._watched = threading.Event()
+        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start the thread."""
         self._thread.start()
 
     def watch(self, watched: bool) -> None:
-        """Say whether anybody watches: only then there is work."""
+        """Set whether frames are needed, by a page or a recording; else the thread waits."""
         if watched:
             self._watched.set()
         else:
             self._watched.clear()
 
     def stop(self) -> None:
-        """End the thread, and let go of the source."""
+        """End the thread, and close source and pipeline."""
         self._stopping.set()
         self._watched.set()
         if self._thread.is_alive():
@@ -111,41 +122,43 @@ class Live:
 
     def _run(self) -> None:
         capture: Capture | None = None
-        done: Settings | None = None
-        pictures = _Share(_DEPTH_TO_PICTURES)
-        ends: deque[float] = deque(maxlen=_MEASURED)
+        shown_settings: Settings | None = None
+        pictures = _TimeShare(_DEPTH_TO_PICTURES)
+        ends_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         while self._watched.wait() and not self._stopping.is_set():
             settings = self.settings
             paused = settings.look.paused and capture is not None
-            if paused and settings == done:
+            if paused and settings == shown_settings:
                 self._stopping.wait(_IDLE_S)
                 continue
-            begun = time.monotonic()
+            begin_s = time.monotonic()
             try:
                 if not paused:
                     capture = self._source.read()
                     if capture is None:
-                        raise InputError("there are no more frames")
-                shown = self._of(capture, settings, paused, pictures)
+                        raise InputError("end of the source: no more frames")
+                shown = self._process(capture, settings, paused, pictures)
             except InputError as error:
                 shown = Shown(settings, capture, problem=str(error))
-            except Exception as error:  # a driver that fails in its own way: frames may come again
-                logging.exception("a frame failed")
+            except Exception as error:  # of a camera's driver, for example: the next may succeed
+                logging.exception("frame skipped after an internal error")
                 shown = Shown(settings, capture, problem=f"{type(error).__name__}: {error}")
-            done, now = settings, time.monotonic()
-            ends.append(now)
-            rate = (len(ends) - 1) / (now - ends[0]) if len(ends) > 1 else 0.0
-            self._show(dataclasses.replace(shown, rate_hz=rate, latency_s=now - begun))
+            shown_settings = settings
+            end_s = time.monotonic()
+            ends_s.append(end_s)
+            rate_hz = (len(ends_s) - 1) / (end_s - ends_s[0]) if len(ends_s) > 1 else 0.0
+            self._show(dataclasses.replace(shown, rate_hz=rate_hz, latency_s=end_s - begin_s))
             if shown.frame is None and not paused:
                 self._stopping.wait(_RETRY_S)
             elif not (self._source.live or paused):
-                self._stopping.wait(self._period_s - (time.monotonic() - begun))
+                self._stopping.wait(self._period_s - (time.monotonic() - begin_s))
 
-    def _of(
-        self, capture: Capture | None, settings: Settings, again: bool, pictures: "_Share"
+    def _process(
+        self, capture: Capture | None, settings: Settings, again: bool, pictures: "_TimeShare"
     ) -> Shown:
+        """Results of a frame; `again` if it is the same frame with other settings."""
         assert capture is not None
-        frame = dataclasses.replace(capture.decode(self._stored), stamp_ns=None)
+        frame = dataclasses.replace(capture.decode(self._pixel_format), stamp_ns=None)
         shown = Shown(settings, capture, frame.picture)
         if again:
             self._pipeline.reset()  # it is not a new frame of the video
@@ -158,39 +171,47 @@ class Live:
                 return shown
             with pictures:
                 sharp = self._pipeline.deblur(frame, estimate)
-                looked_at = _looked_at(sharp, estimate, settings.look)
+                picture = _displayed_picture(sharp, estimate, settings.look)
         except InputError as error:
             return dataclasses.replace(shown, problem=str(error))
-        return dataclasses.replace(shown, sharp=sharp, picture=looked_at)
+        return dataclasses.replace(shown, sharp=sharp, picture=picture)
 
     def _camera_for(self, frame: FloatArray) -> Camera | None:
-        """Return the camera for frames of this size; an `InputError` if the bank is not."""
+        """Camera scaled to the size of a frame; an `InputError` if the bank is for another."""
         height, width = frame.shape[:2]
         if bank := filter_bank(self._pipeline.estimator.model):
             check_frame_size(bank, width, height)
         return self._camera and self._camera.resized(width, height)
 
 
-def _looked_at(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:
+def _displayed_picture(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:
+    """All-in-focus picture, refocused if the page asks for it."""
     if look.picture != "refocused" or estimate.depth_m is None:
         return sharp
     return refocused(sharp, estimate.depth_m, look.focus_m, look.opening_px)
 
 
-class _Share:
-    """Lets something take its share of the time: a context around it measures how long it took."""
+class _TimeShare:
+    """Limits optional work to a share of the time; a context around the work measures it.
+
+    Parameters
+    ----------
+    others : float
+        After the work it is not due for so many times as long as it took.
+    """
 
     def __init__(self, others: float) -> None:
         self._others = others
-        self._begun = self._next = 0.0
+        self._begin_s = 0.0
+        self._due_s = 0.0
 
     @property
     def due(self) -> bool:
-        return time.monotonic() >= self._next
+        return time.monotonic() >= self._due_s
 
     def __enter__(self) -> None:
-        self._begun = time.monotonic()
+        self._begin_s = time.monotonic()
 
     def __exit__(self, *_: object) -> None:
         now = time.monotonic()
-        self._next = now + self._others * (now - self._begun)
+        self._due_s = now + self._others * (now - self._begin_s)

@@ -1,4 +1,4 @@
-"""What the page can change while frames go on."""
+"""Settings that the page can change while frames are processed."""
 
 import dataclasses
 from typing import Any
@@ -11,8 +11,8 @@ from coded_aperture_ros.depth.stages import stage_modules
 from coded_aperture_viewer.packet import METRES, SHARES
 
 PICTURES = ("none", "sharp", "refocused")
-# Of depth and of deblurring: what the page has a control for, and the end of its slider where the
-# setting has a range that nobody would want to slide through.
+# Settings with a control on the page, by part, and the end of the slider where the whole range of
+# the setting would be too long.
 _CONTROLS: dict[str, dict[str, float | None]] = {
     "depth": {
         "confidence_threshold": None,
@@ -31,17 +31,17 @@ _CONTROLS: dict[str, dict[str, float | None]] = {
 
 @dataclasses.dataclass(frozen=True)
 class LookConfig:
-    """What is looked at."""
+    """Settings of the picture beside the depth map."""
 
-    picture: str = option("sharp", "none, all in focus, or focused anew", choices=PICTURES)
+    picture: str = option("sharp", "none, all-in-focus, or refocused", choices=PICTURES)
     focus_m: float = option(1.0, "Distance in focus.", unit="m", within=(1e-3, 1e6))
     opening_px: float = option(
         10.0,
-        "How blurred the nearest depth is when the farthest is in focus.",
+        "Radius of the blur of the nearest depth if the farthest is in focus.",
         unit="px",
         within=(0.0, 30.0),
     )
-    paused: bool = option(False, "The same frame again, whenever a setting changes.")
+    paused: bool = option(False, "Process the same frame again whenever a setting changes.")
 
     def __post_init__(self) -> None:
         check_options(self)
@@ -49,14 +49,21 @@ class LookConfig:
 
 @dataclasses.dataclass(frozen=True)
 class Settings:
-    """Of depth, of deblurring and of what is looked at."""
+    """Settings of depth, of deblurring and of the picture.
+
+    Examples
+    --------
+    >>> settings = Settings(DepthConfig(), DeblurConfig(), LookConfig())
+    >>> settings.changed({"look.focus_m": 2}).look.focus_m
+    2.0
+    """
 
     depth: DepthConfig
     deblur: DeblurConfig
     look: LookConfig
 
     def changed(self, wanted: Any) -> "Settings":
-        """Return other settings: `{"depth.smoothness": 2, ...}`.
+        """Settings with some values changed: `{"depth.smoothness": 2, ...}`.
 
         Raises
         ------
@@ -71,7 +78,7 @@ class Settings:
             config = getattr(self, part, None) if part in _CONTROLS else None
             if config is None or field not in options_of(config):
                 raise InputError(f"settings: there is no {name}")
-            # JSON does not tell 1 from 1.0.
+            # JSON does not distinguish 1 and 1.0.
             is_float = type(options_of(config)[field][0].default) is float
             parts.setdefault(part, {})[field] = float(value) if is_float else value
         return dataclasses.replace(
@@ -83,7 +90,7 @@ class Settings:
         )
 
     def as_values(self) -> dict[str, Any]:
-        """Return every setting that the page shows, by the name that `changed` takes."""
+        """Values of the page's settings, by the names that `changed` takes."""
         names = {part: list(fields) for part, fields in _CONTROLS.items()}
         names["look"] = list(options_of(self.look))
         return {
@@ -93,7 +100,7 @@ class Settings:
         }
 
     def layers(self) -> list[dict[str, Any]]:
-        """What the page needs to draw each layer, and the setting that switches it on."""
+        """For each layer that the page can draw: its texts, unit, and the setting that adds it."""
         most = {control["name"]: control["most"] for control in self.controls()}
         found = []
         for module in stage_modules():
@@ -113,20 +120,20 @@ class Settings:
         return found
 
     def controls(self) -> list[dict[str, Any]]:
-        """Return what the page needs to draw a control for each setting, in their order."""
+        """For each control, in order: name, kind, choices, range and help text of its setting."""
         found = []
         for part, fields in _CONTROLS.items():
             described = options_of(getattr(self, part))
             for name, largest in fields.items():
-                field, one = described[name]
+                field, setting = described[name]
                 found.append(
                     {
                         "name": f"{part}.{name}",
                         "kind": type(field.default).__name__,
-                        "choices": one.choices,
-                        "least": one.minimum,
-                        "most": one.maximum if largest is None else largest,
-                        "help": one.description,
+                        "choices": setting.choices,
+                        "least": setting.minimum,
+                        "most": setting.maximum if largest is None else largest,
+                        "help": setting.description,
                     }
                 )
         return found

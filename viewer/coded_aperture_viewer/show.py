@@ -1,4 +1,4 @@
-"""Serves the page of `coded_aperture view`."""
+"""Start of the viewer: source, pipeline, server and page of `coded_aperture view`."""
 
 import asyncio
 import dataclasses
@@ -30,35 +30,40 @@ from coded_aperture_viewer.live import Live
 from coded_aperture_viewer.server import Server
 from coded_aperture_viewer.settings import LookConfig, Settings
 
-_DEMO_CAMERA, _DEMO_RANGE_M = "demo_camera.yaml", (2.05, 5.1)
+_DEMO_CAMERA = "demo_camera.yaml"
+# Depth range of the simulated scene, m.
+_DEMO_RANGE_M = (2.05, 5.1)
 _LOCAL = "127.0.0.1"
-_NOISE = 0.002
+# Standard deviation of the simulated sensor's noise, linear light.
+_SIMULATED_NOISE = 0.002
+# Connections to pages that do not end by themselves are closed after so long, s.
+_SHUTDOWN_TIMEOUT_S = 2.0
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Options:
-    """What is shown, and where.
+    """Options of `coded_aperture view`.
 
     Attributes
     ----------
     source : str
         See `open_source`.
     camera : str or None
-        Camera file; None: that of the demo.
+        Camera file; None: of the demo.
     bank : str or None
-        Filter bank; None: it is learned for `depth_range`.
+        Filter bank; None: learned for `depth_range`.
     depth_range : (float, float) or None
         Nearest and farthest depth, m.
     output : Path
         Folder of snapshots and recordings.
     host, port : str, int
-        What to listen on; port 0: any free one.
+        Address of the server; port 0: any free one.
     rate : float
-        Of files and of the simulator, Hz.
+        Frames per second of files and of the simulator.
     browser : bool
-        Whether the page is opened in the browser.
+        Whether to open the page in the browser.
     pixels : PixelFormat
-        How frames are stored.
+        Of the frames.
     depth : DepthConfig
     """
 
@@ -77,7 +82,7 @@ class Options:
 
 def show(options: Options) -> None:
     """Serve the page until Ctrl-C."""
-    with _listening(options.host, options.port) as listening:
+    with _listening_socket(options.host, options.port) as listening:
         server, token = make_server(options)
         port = listening.getsockname()[1]
         ending = f"?token={token}" if token else ""
@@ -91,7 +96,7 @@ def show(options: Options) -> None:
 
 
 def make_server(options: Options) -> tuple[Server, str]:
-    """Return the server, and the token that its page needs; empty: none."""
+    """Server, and the token in the address of its page; empty if only this machine may ask."""
     path = options.camera or share_directory() / "config" / _DEMO_CAMERA
     camera = load_camera(path)
     depth_range = options.depth_range
@@ -103,16 +108,16 @@ def make_server(options: Options) -> tuple[Server, str]:
             camera = check_setting(bank, camera)
         elif depth_range is not None:
             near_m, far_m = depth_range
-            logging.warning("learning the bank of %s", path)
+            logging.warning("learning a bank for %s, %g to %g m", path, near_m, far_m)
             bank = learn_bank_for_camera(camera, near_m, far_m, DEFAULT_LEVEL_COUNT)
         else:
-            raise InputError("a depth range or a bank is needed")
+            raise InputError("no depth range: give --depth-range NEAR FAR or --bank FILE")
         deblur = DeblurConfig()
         pipeline = FramePipeline(bank, camera, options.depth, deblur)
-    near_m, far_m = depth_range or _ends(bank, camera)
-    source = open_source(options.source, camera, options.rate, noise=_NOISE)
-    still = isinstance(source, PictureSource) and len(source.files) == 1
-    look = LookConfig(focus_m=(near_m + far_m) / 2, paused=still)
+    near_m, far_m = depth_range or _depth_range(bank, camera)
+    source = open_source(options.source, camera, options.rate, noise=_SIMULATED_NOISE)
+    is_single = isinstance(source, PictureSource) and len(source.files) == 1
+    look = LookConfig(focus_m=(near_m + far_m) / 2, paused=is_single)
     token = "" if options.host == _LOCAL else secrets.token_urlsafe(16)
     server = Server(camera, (near_m, far_m), options.pixels.mosaic, options.output, token)
     settings = Settings(options.depth, deblur, look)
@@ -120,27 +125,29 @@ def make_server(options: Options) -> tuple[Server, str]:
     return server, token
 
 
-def _ends(bank: FilterBank, camera: Camera) -> tuple[float, float]:
-    """Return the nearest and the farthest depth of a bank's levels."""
+def _depth_range(bank: FilterBank, camera: Camera) -> tuple[float, float]:
+    """Nearest and farthest depth of a bank's levels, m."""
     stack = bank.stack
     depths = camera.depth_m(stack.blur_sizes_px) if stack.depths_m is None else stack.depths_m
     depths = depths[np.isfinite(depths) & (depths > 0)]
     return float(depths.min()), float(depths.max())
 
 
-def _listening(host: str, port: int) -> socket.socket:
+def _listening_socket(host: str, port: int) -> socket.socket:
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
     except OSError as error:
-        raise InputError(f"cannot listen on {host}, port {port}: {error.strerror}") from error
+        raise InputError(
+            f"cannot listen on {host}, port {port}: {error.strerror}: use another --port"
+        ) from error
 
 
 async def _serve(application: web.Application, listening: socket.socket) -> None:
     runner = web.AppRunner(application, access_log=None)
     await runner.setup()
     try:
-        await web.SockSite(runner, listening, shutdown_timeout=2.0).start()
+        await web.SockSite(runner, listening, shutdown_timeout=_SHUTDOWN_TIMEOUT_S).start()
         await asyncio.Event().wait()
     finally:
         await runner.cleanup()

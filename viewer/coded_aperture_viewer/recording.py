@@ -1,4 +1,4 @@
-"""What is looked at, kept in files: single frames with their maps, and recordings."""
+"""Snapshots (a frame with its maps) and recordings (bags) of the viewer."""
 
 import dataclasses
 import time
@@ -17,43 +17,61 @@ from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.sources import Capture
 from coded_aperture_viewer.live import Shown
 
-_TOPIC, _INFO_TOPIC, _FRAME_ID = "/image_raw", "/camera_info", "camera_optical_frame"
+_TOPIC = "/image_raw"
+_INFO_TOPIC = "/camera_info"
+_FRAME_ID = "camera_optical_frame"
 
 
 def new_folder(output: Path, kind: str) -> Path:
-    """Return a name that nothing has yet, such as `snapshot-20260131-235959`."""
+    """Path in `output` that does not exist yet, such as `snapshot-20260131-235959`."""
     name = f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
-    found, number = output / name, 1
-    while found.exists():
+    path = output / name
+    number = 1
+    while path.exists():
         number += 1
-        found = output / f"{name}-{number}"
-    return found
+        path = output / f"{name}-{number}"
+    return path
 
 
 def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
-    """Write the frame, what was found in it, and pictures of that; an `InputError` if it cannot."""
+    """Write a frame, its maps, their pictures and its points; an `InputError` if it cannot."""
     if shown.frame is None:
-        raise InputError("there is no frame yet")
+        raise InputError("no frame yet: wait for the first one")
     write_image(folder / "coded.png", shown.frame)
     if shown.sharp is not None:
         write_image(folder / "all_in_focus.png", shown.sharp)
     if shown.picture is not None and shown.picture is not shown.sharp:
         write_image(folder / "refocused.png", shown.picture)
-    found = shown.estimate
-    if found is None or found.depth_m is None or found.std_dev_m is None:
+    estimate = shown.estimate
+    if estimate is None or estimate.depth_m is None or estimate.std_dev_m is None:
         return
-    maps = {"depth": found.depth_m, "std_dev": found.std_dev_m, "confidence": found.confidence}
-    maps |= {layer.spec.file_suffix[1:]: layer.values for layer in found.layers.values()}
+    maps = {
+        "depth": estimate.depth_m,
+        "std_dev": estimate.std_dev_m,
+        "confidence": estimate.confidence,
+    }
+    maps |= {layer.spec.file_suffix[1:]: layer.values for layer in estimate.layers.values()}
     for name, values in maps.items():
         write_depth(folder / f"{name}.npy", values)
-    write_image(folder / "depth.picture.png", depth_picture(found.depth_m))
-    write_image(folder / "confidence.picture.png", confidence_picture(found.confidence))
+    write_image(folder / "depth.picture.png", depth_picture(estimate.depth_m))
+    write_image(folder / "confidence.picture.png", confidence_picture(estimate.confidence))
     light = shown.frame if shown.sharp is None else shown.sharp
-    write_points(folder / "points.ply", points_of_frame(found, light, camera, "srgb"))
+    write_points(folder / "points.ply", points_of_frame(estimate, light, camera, "srgb"))
 
 
 class Recording:
-    """A bag of coded frames, as the source gives them; `coded_aperture bag` reads it.
+    """Bag of coded frames as they come from the source; `coded_aperture bag` reads it.
+
+    Parameters
+    ----------
+    path : Path
+        It exists after `close`.
+    camera : Camera
+
+    Attributes
+    ----------
+    count : int
+        Frames written so far.
 
     Raises
     ------
@@ -65,7 +83,8 @@ class Recording:
         from coded_aperture_ros.bags import bag_output
         from coded_aperture_ros.bags.codec import CAMERA_INFO, IMAGE, camera_info_message, new_topic
 
-        self.path, self.count = path, 0
+        self.path = path
+        self.count = 0
         self._info = camera_info_message(camera.intrinsics)
         self._open = ExitStack()
         self._bag: Any = self._open.enter_context(bag_output(path, "mcap"))
@@ -73,7 +92,10 @@ class Recording:
             self._bag.add_topic(new_topic(topic, kind))
 
     def add(self, capture: Capture, mosaic: str) -> None:
-        """Write a frame, with its stamp or the time of this computer."""
+        """Write a frame, with its stamp or else the time of this computer.
+
+        `mosaic` is the colour filter array of a grey frame whose source states none.
+        """
         from coded_aperture_ros.bags.codec import camera_info_data, image_data
 
         time_ns = time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
@@ -81,26 +103,26 @@ class Recording:
             self._info.header.stamp, sec=time_ns // 10**9, nanosec=time_ns % 10**9
         )
         header = dataclasses.replace(self._info.header, stamp=stamp, frame_id=_FRAME_ID)
-        pixels, encoding = _stored(capture, mosaic)
+        pixels, encoding = _message_pixels(capture, mosaic)
         self._bag.write(_TOPIC, time_ns, image_data(pixels, encoding, header))
         size = pixels.shape[0], pixels.shape[1]
         self._bag.write(_INFO_TOPIC, time_ns, camera_info_data(self._info, size, header))
         self.count += 1
 
     def close(self) -> None:
-        """Finish the bag: before, it does not exist under its name."""
+        """Finish the bag, which gets its name only now."""
         self._open.close()
 
 
-def _stored(capture: Capture, mosaic: str) -> tuple[np.ndarray, str]:
-    """Return the pixels of a frame and how a message calls their encoding."""
+def _message_pixels(capture: Capture, mosaic: str) -> tuple[np.ndarray, str]:
+    """Pixels of a frame as a message stores them, and their encoding."""
     pixels = capture.frame
-    coloured = pixels.ndim == 3
+    is_colour = pixels.ndim == 3
     if pixels.dtype == np.float32:
-        encoding = "rgb16" if coloured else "mono16"
+        encoding = "rgb16" if is_colour else "mono16"
         return pixels_from_frame(pixels, encoding), encoding
     bits = 8 * pixels.dtype.itemsize
-    if coloured:
+    if is_colour:
         return pixels, f"rgb{bits}"
     mosaic = capture.mosaic or mosaic
     return pixels, f"bayer_{mosaic}{bits}" if mosaic else f"mono{bits}"
