@@ -120,7 +120,7 @@ def test_the_node_finds_motion_and_says_what_it_knew_of_it(ros, tmp_path):
     message = said(0, z=0.001)
     message.header.stamp.sec = 11
     imu.publish(message)
-    assert wait_until(lambda: node._gyro._lately)
+    assert wait_until(lambda: node._gyro._rates)
     assert send(11) == ""
     assert "late" in send(12)
     assert motions[0].encoding == "32FC2"
