@@ -51,7 +51,7 @@ class Compiled:
         """Run the compiled loop, or else the replacement."""
         tried = self._chosen
         if tried is not None:
-            with contextlib.suppress(Exception):  # arrays of another layout are compiled anew
+            with contextlib.suppress(Exception):  # arrays of another layout: compile again
                 return tried(*arrays)
         with _COMPILING:
             if self._chosen is tried:

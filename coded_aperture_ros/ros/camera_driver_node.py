@@ -38,7 +38,7 @@ from coded_aperture_ros.sources import (
     open_source,
 )
 
-# Between two looks at whether anyone subscribes.
+# Time between two checks for a subscriber.
 _IDLE_S = 0.05
 # Pause after a failure of the source: the first, and the longest; each is twice the one before.
 _FIRST_RETRY_S = 0.5

@@ -61,7 +61,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
 
     def load(self) -> None:
         """Load the camera file and the bank, if any, and prepare the inverse filters."""
-        self._range = self.configs[ModelConfig]
+        self._model_config = self.configs[ModelConfig]
         self._model: FrameModel[FilterBank | RenderedLevels] = FrameModel(
             self, self.configs, blur_levels
         )
@@ -104,7 +104,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         frame = frame_from_image(image, pixel_format, colour=True, stamp_ns=stamp_ns(header))
         depth_m = depth_of_frame(depth, image)
         # Depth beyond the range is deblurred as the end of the range; NaN stays unknown.
-        depth_m = np.clip(depth_m, self._range.near_m, self._range.far_m or math.inf)
+        depth_m = np.clip(depth_m, self._model_config.near_m, self._model_config.far_m or math.inf)
         if not np.isfinite(depth_m).any():
             raise MessageError("depth", "no depth is known in the whole frame")
         driver = self.driver_info.at(header)

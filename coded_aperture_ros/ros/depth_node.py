@@ -86,7 +86,7 @@ class DepthNodeConfig:
     method: str = option(
         "bank",
         "bank: a filter bank, for any mask; two_pixel: a pixel and its neighbours, without a bank, "
-        "for a mask of 2 to 8 equal holes; motion: a bank, and blur by motion told from blur by "
+        "for a mask of 2 to 8 equal holes; motion: a bank, and motion blur distinguished from "
         "defocus",
         choices=METHODS,
         read_only=True,
@@ -160,8 +160,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         """Load the camera file and load or learn the bank."""
         configs = self.configs
         method = configs[DepthNodeConfig].method
-        self._range = configs[ModelConfig]
-        if method == "two_pixel" and self._range.bank:
+        self._model_config = configs[ModelConfig]
+        if method == "two_pixel" and self._model_config.bank:
             raise InputError("method: two_pixel has no bank: leave the parameter bank empty")
         make = functools.partial(
             new_model,
@@ -202,7 +202,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         image, compression_loss = item
         header = image.header
         driver = self.driver_info.at(header)
-        frame = self._frame(image, compression_loss, driver)
+        frame = self._decode_frame(image, compression_loss, driver)
         shape = frame.shape
         size = map_size(shape, self.configs[DepthNodeConfig].output_size)
         try:
@@ -210,8 +210,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         except LateFrameError as error:
             raise MessageError("late", str(error)) from error
         if estimate.depth_m is None or estimate.std_dev_m is None:
-            raise InputError("the bank and the camera file give no depth")
-        depth_m = limit_depth(estimate.depth_m, *self._ends_m)
+            raise InputError("the bank's levels have no depth: use a bank for this camera file")
+        depth_m = limit_depth(estimate.depth_m, *self._range_m)
         std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
         self._send_maps(estimate, depth_m, std_dev_m, header)
         self._send_layers(estimate, header)
@@ -223,7 +223,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
         self.finish_frame(header, estimate.seconds, figures, misfit)
 
-    def _frame(self, image: Image, compression_loss: float, driver: CameraModel) -> Frame:
+    def _decode_frame(self, image: Image, compression_loss: float, driver: CameraModel) -> Frame:
         """Frame of a message, with its view and expected motion; fits the model to the view."""
         header = image.header
         frame = frame_from_image(
@@ -244,9 +244,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         return dataclasses.replace(frame, view=view, motion=motion)
 
     @property
-    def _ends_m(self) -> tuple[float, float]:
+    def _range_m(self) -> tuple[float, float]:
         """Nearest and farthest depth that are published as numbers, m."""
-        return self._range.near_m, self._range.far_m or math.inf
+        return self._model_config.near_m, self._model_config.far_m or math.inf
 
     def _send_maps(
         self, estimate: DepthEstimate, depth_m: FloatArray, std_dev_m: FloatArray, header: Header
@@ -278,7 +278,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         for layer in estimate.layers.values():
             spec = layer.spec
             if self.wants(spec.topic):
-                values = limit_layer(layer.values, spec.kind, *self._ends_m)
+                values = limit_layer(layer.values, spec.kind, *self._range_m)
                 self.send(spec.topic, image_from_array(values, spec.encoding, header))
         motion = estimate.layers.get("motion")
         self._motion_note = "" if motion is None else motion.note
@@ -295,7 +295,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         clouds = {"depth/points": depth_m}
         for layer in estimate.layers.values():
             if layer.spec.points_topic:
-                values = limit_layer(layer.values, layer.spec.kind, *self._ends_m)
+                values = limit_layer(layer.values, layer.spec.kind, *self._range_m)
                 clouds[layer.spec.points_topic] = values
         wanted = [topic for topic in clouds if self.wants(topic)]
         if not wanted:
@@ -304,7 +304,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         rays = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
         light = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
         colours = pixels_from_frame(light, "rgb8", self.frame_config.gamma)
-        near_m = self._range.near_m
+        near_m = self._model_config.near_m
         far_m = self.configs[DepthNodeConfig].points_far_m
         for topic in wanted:
             points = points_of_depth(

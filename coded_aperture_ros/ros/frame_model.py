@@ -236,7 +236,7 @@ class FrameModel(Generic[Model]):
     def _check_range(self, bank: FilterBank, camera: Camera) -> None:
         """Compare near_m and far_m with the bank's levels; an `InputError` if they do not overlap.
 
-        Warns where the levels do not extend beyond the range: nothing could be told to be outside.
+        Warns where the levels do not extend beyond the range: no depth could be outside then.
         """
         depths_m = bank.stack.depths_m
         if depths_m is None or not depths_are_measured(bank):

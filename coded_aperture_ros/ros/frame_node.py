@@ -32,7 +32,7 @@ from coded_aperture_ros.ros.topics import Inputs, LocalTopics, Outputs
 
 Item = TypeVar("Item")
 
-# Between two looks at whether an output has a subscriber.
+# Time between two checks for a subscriber.
 _LAZY_PERIOD_S = 0.2
 # Shortest time between two log lines about messages with the same kind of fault.
 _LOG_PERIOD_S = 10.0

@@ -21,7 +21,7 @@ from coded_aperture_viewer.settings import LookConfig, Settings
 
 # Depth has priority: after a picture has taken some time, none is made for so many times as long.
 _DEPTH_TO_PICTURES = 10.0
-# Between two looks at the settings while paused.
+# Time between two checks of the settings while paused.
 _IDLE_S = 0.1
 # Pause after a frame that could not be read.
 _RETRY_S = 1.0
