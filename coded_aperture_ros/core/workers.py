@@ -114,7 +114,7 @@ def check_threads(threads: int) -> None:
     if not 1 <= threads <= available:
         raise InputError(
             f"threads: {threads} is out of range: this machine has {available} processor(s), "
-            f"use 1 to {available}"
+            f"use at most {available}"
         )
 
 
