@@ -29,6 +29,12 @@ from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
 from coded_aperture_ros.ros.pairing import StampPairs
 
+# Topics that the node publishes, and their message types.
+OUTPUT_TYPES = {
+    "deblurred/image": Image,
+    "deblurred/image/compressed": CompressedImage,
+    "deblurred/camera_info": CameraInfo,
+}
 # Frames kept while depth_node works on them: two seconds at 100 Hz. With fewer, a fast camera would
 # push out the frame in work before its depth comes, and there would never be a pair.
 _WAITING_FRAMES = 200
@@ -40,11 +46,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
     """Pairs each coded frame with its depth image and publishes the all-in-focus picture."""
 
     def __init__(self, **node_options: Any) -> None:
-        self.outputs = {
-            "deblurred/image": Image,
-            "deblurred/image/compressed": CompressedImage,
-            "deblurred/camera_info": CameraInfo,
-        }
+        self.outputs = OUTPUT_TYPES
         super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES,

@@ -113,8 +113,8 @@ class DepthNodeConfig:
     )
 
 
-def _output_types() -> dict[str, type]:
-    """Message type of every topic; those of layers come from the stages of depth."""
+def output_types() -> dict[str, type]:
+    """Message type of every topic that the node publishes; layers come from the stages of depth."""
     types = dict(_CORE_TOPICS)
     for spec in layer_specs():
         types[spec.topic] = Image
@@ -130,7 +130,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
     """
 
     def __init__(self, **node_options: Any) -> None:
-        self.outputs = _output_types()
+        self.outputs = output_types()
         super().__init__(
             "depth_node",
             ModelConfig(),

@@ -88,20 +88,20 @@ def test_obstacle_avoidance_settings_agree_with_each_other(checkout):
 
 
 def test_the_picture_of_rviz_shows_published_topics(checkout):
-    from coded_aperture_ros.ros.deblur_node import DeblurNode
-    from coded_aperture_ros.ros.depth_node import DepthNode
+    from coded_aperture_ros.ros.deblur_node import OUTPUT_TYPES
+    from coded_aperture_ros.ros.depth_node import output_types
 
     content = yaml.safe_load((checkout / "config" / "coded_aperture.rviz").read_text())
     displays = content["Visualization Manager"]["Displays"]
     topics = {display["Topic"]["Value"] for display in displays if "Topic" in display}
     others = {"image_raw", "costmap/costmap", "scan"}
-    assert topics - others <= {*DepthNode.outputs, *DeblurNode.outputs}
+    assert topics - others <= {*output_types(), *OUTPUT_TYPES}
     assert "depth/points" in topics
 
 
 def test_the_layout_of_foxglove_shows_published_topics(checkout):
-    from coded_aperture_ros.ros.deblur_node import DeblurNode
-    from coded_aperture_ros.ros.depth_node import DepthNode
+    from coded_aperture_ros.ros.deblur_node import OUTPUT_TYPES
+    from coded_aperture_ros.ros.depth_node import output_types
 
     content = json.loads((checkout / "config" / "foxglove_layout.json").read_text())
     panels = content["configById"]
@@ -117,7 +117,7 @@ def test_the_layout_of_foxglove_shows_published_topics(checkout):
     driver = {"image_raw", "camera_info"}
     relative = {topic.removeprefix("/") for topic in topics}
     assert shown <= relative
-    assert relative - driver - {"diagnostics"} <= {*DepthNode.outputs, *DeblurNode.outputs}
+    assert relative - driver - {"diagnostics"} <= {*output_types(), *OUTPUT_TYPES}
     # Every panel has its place, and no place is empty.
     text = json.dumps(content["layout"])
     assert sorted(re.findall(r'"(?:first|second)": "(.+?)"', text)) == sorted(panels)

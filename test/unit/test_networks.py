@@ -95,7 +95,9 @@ def test_what_is_installed_decides_unless_one_is_named(monkeypatch):
         refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
     )
     asked = []
-    monkeypatch.setattr(networks, "_in_whole_numbers", lambda model, threads: asked.append(threads))
+    monkeypatch.setattr(
+        networks, "_quantised_network", lambda model, threads: asked.append(threads)
+    )
     for installed in (None, object()):
         monkeypatch.setattr(networks, "find_spec", lambda name, found=installed: found)
         network_of(arrays, "levels", "auto", 3)
