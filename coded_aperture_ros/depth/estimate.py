@@ -1,4 +1,4 @@
-"""What one frame says about depth."""
+"""Depth estimate of one frame."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -15,13 +15,13 @@ MAP_SIZES = ("auto", "full", "half", "quarter")
 # Best-effort messages larger than such float images are lost with default DDS settings.
 _LARGEST_AUTO = (240, 320)
 _DIVISORS = {"full": 1, "half": 2, "quarter": 4}
-# Maps that are unknown together.
-_OF_LEVELS = ("level", "blur_size_px", "depth_m", "std_dev_m")
+# Maps that are NaN where the depth is unknown.
+_LEVEL_MAPS = ("level", "blur_size_px", "depth_m", "std_dev_m")
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DepthEstimate:
-    """What one frame says about depth; maps are float32 and of one shape [rows, columns].
+    """Depth of every pixel of one frame; maps are float32 of one shape [rows, columns].
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class DepthEstimate:
     depth_m : ndarray or None
         Depth along the optical axis in metres; NaN where unknown (unless the configuration says
         otherwise), +inf for a level at or beyond the camera's blur size of infinity. None if
-        neither a camera nor the model says how far the levels are.
+        neither the model nor a camera gives the depths of the levels.
     confidence : ndarray
         Probability, in [0, 1], that the depth is right to 5 % (or, without depths, that the level
         is right to one level).
@@ -42,14 +42,23 @@ class DepthEstimate:
         Standard deviation of `depth_m` in metres; NaN where that is, +inf where that is. None if
         there are no depths.
     health : Health or None
-        How well the frame fits the bank; it is part of `confidence`. None where that cannot be
-        told: see `can_be_checked`.
+        How well the frame fits the bank; `confidence` includes it. None where it cannot be
+        checked: see `can_be_checked`.
     layers : mapping of str to Layer
-        What else the stages have found, by name, such as ``free_space`` or ``motion``.
+        Other results of the stages, by name, such as ``free_space`` or ``motion``.
     stamp_ns : int or None
-        Of the frame.
+        Time stamp of the frame, nanoseconds.
     seconds : mapping of str to float
-        How long every stage of the work took, in their order.
+        Time that every stage took, in their order.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> depth_m = np.array([[1.0, 2.0]], np.float32)
+    >>> confidence = np.array([[0.9, 0.3]], np.float32)
+    >>> estimate = DepthEstimate(depth_m, depth_m, depth_m, confidence, noise=0.002)
+    >>> estimate.where_confident(0.5).depth_m.tolist()
+    [[1.0, nan]]
     """
 
     level: FloatArray
@@ -68,21 +77,21 @@ class DepthEstimate:
         return self.layers[layer].values if layer in self.layers else None
 
     def where_confident(self, threshold: float) -> "DepthEstimate":
-        """Return the estimate with NaN wherever the confidence is below the threshold."""
+        """Estimate with NaN wherever the confidence is below the threshold."""
         return self.without(below_threshold(self.confidence, threshold))
 
     def without(self, unknown: BoolArray) -> "DepthEstimate":
-        """Return the estimate with NaN in some places [rows, columns]."""
+        """Estimate with NaN where the depth is `unknown` [rows, columns]."""
 
         def known(values: FloatArray) -> FloatArray:
             values = values.copy()
             np.putmask(values, unknown, np.float32(np.nan))
             return values
 
-        return self._mapped(known, *_OF_LEVELS)
+        return self._mapped(known, *_LEVEL_MAPS)
 
     def enlarged(self, size: Shape) -> "DepthEstimate":
-        """Return the estimate with maps of `size` (rows, columns), by the nearest pixels."""
+        """Estimate with maps of `size` (rows, columns), by nearest neighbours."""
         if self.level.shape == size:
             return self
 
@@ -96,7 +105,7 @@ class DepthEstimate:
             else dataclasses.replace(layer, values=large(layer.values))
             for name, layer in self.layers.items()
         }
-        maps = self._mapped(large, *_OF_LEVELS, "confidence")
+        maps = self._mapped(large, *_LEVEL_MAPS, "confidence")
         return dataclasses.replace(maps, layers=layers)
 
     def _mapped(self, change: Callable[[FloatArray], FloatArray], *names: str) -> "DepthEstimate":
@@ -111,16 +120,31 @@ def below_threshold(confidence: FloatArray, threshold: float) -> BoolArray:
 
 
 def check_map_size(size: Shape | None) -> None:
-    """Refuse a size (rows, columns) that no map can have, by an `InputError`."""
+    """Raise `InputError` if a size (rows, columns) is not that of a map."""
     if size is not None and min(size) < 1:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
 
 
 def map_size(frame_size: Shape, choice: str) -> Shape:
-    """Return the size (rows, columns) of the depth map of frames of a size.
+    """Rows and columns of the depth map for a size of frames.
 
-    Sizes are (rows, columns); `choice` is one of `MAP_SIZES`; auto: the largest whole fraction of
-    the frame that fits in 320x240.
+    Parameters
+    ----------
+    frame_size : (int, int)
+        Rows and columns of the frames.
+    choice : str
+        One of `MAP_SIZES`; auto: the largest whole fraction of the frame that fits in 320x240.
+
+    Returns
+    -------
+    (int, int)
+
+    Examples
+    --------
+    >>> map_size((480, 640), "auto")
+    (240, 320)
+    >>> map_size((480, 640), "quarter")
+    (120, 160)
     """
     rows, columns = frame_size
     fitting = max(-(-rows // _LARGEST_AUTO[0]), -(-columns // _LARGEST_AUTO[1]), 1)

@@ -104,7 +104,7 @@ class DepthEstimator:
         self.source_model = model
         self.model = model.for_view(camera)
         self.known_noise = KnownNoise.from_sources(self.config, camera, model)
-        self._levels = Levels.of(model, camera)
+        self._levels = Levels.from_model(model, camera)
         self._regularize = regularize
         self._second_focus = second_focus
         self._patches_tell_sides = patches_tell_sides

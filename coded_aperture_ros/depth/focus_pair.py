@@ -55,7 +55,7 @@ class FocusPair:
         config = estimator.config
         added = _AddedFocus(
             DepthEstimator(other[0], config, other[1], patches_tell_sides=True),
-            Folding.of(deciding[0].stack.blur_sizes_px),
+            Folding.from_sizes(deciding[0].stack.blur_sizes_px),
         )
         self._estimator = DepthEstimator(
             deciding[0], config, deciding[1], second_focus=added, patches_tell_sides=True
@@ -108,7 +108,7 @@ class _AddedFocus:
     def add(self, cost: Cost, frame: Frame) -> tuple[Cost, Health | None]:
         work = self.estimator.run_front(frame)
         self.estimator.run_back(work)
-        own = Folding.of(self.estimator.model.stack.blur_sizes_px)
+        own = Folding.from_sizes(self.estimator.model.stack.blur_sizes_px)
         return _added(cost, work.frame_cost, self.folding, own), work.health
 
     def close(self) -> None:
@@ -148,7 +148,7 @@ def _added(own: Cost, other: Cost, folding: Folding, of_other: Folding) -> Cost:
         of_levels = own.small.volume[..., _places(folding)]
         if other.small is not None:
             of_levels = of_levels + other.small.volume[..., _places(of_other)]
-        small = dataclasses.replace(own.small, volume=_from_least(folding.of_sizes(of_levels)))
+        small = dataclasses.replace(own.small, volume=_from_least(folding.fold_volume(of_levels)))
     return dataclasses.replace(own, volume=_from_least(own.volume + other.volume), small=small)
 
 

@@ -1,4 +1,4 @@
-"""The blur levels of a model as blur sizes and depths, and which are as good as each other."""
+"""Blur sizes and depths of a model's levels, and which levels are equivalent."""
 
 import dataclasses
 
@@ -15,15 +15,15 @@ from coded_aperture_ros.optics import Camera
 class Folding:
     """Levels of both sides of the focal plane as blur sizes without sign."""
 
-    sizes_px: DoubleArray  # [n]; blur sizes without sign, increasing
-    # [n]; the level of each size beyond and before the focal plane; if there is none, the other
-    # one.
+    sizes_px: DoubleArray  # [n]; blur sizes without sign, px, increasing
+    # [n]; level of each size beyond the focal plane, and in front of it. A size that only one side
+    # has is its level on that side in both.
     far: IndexArray
     near: IndexArray
 
     @classmethod
-    def of(cls, sizes_px: DoubleArray) -> "Folding":
-        """Fold the signed blur sizes of a model's levels [L]."""
+    def from_sizes(cls, sizes_px: DoubleArray) -> "Folding":
+        """Folding of the signed blur sizes of a model's levels [L], px."""
         absolute = np.abs(sizes_px)
         # Sizes of the two sides mirror each other but for rounding.
         order = np.argsort(absolute)
@@ -36,16 +36,16 @@ class Folding:
         )
         return cls(absolute[far], far, near)
 
-    def of_sizes(self, volume: FloatArray) -> FloatArray:
-        """Return the cost of every size, whatever its side [rows, columns, n], from [.., L]."""
+    def fold_volume(self, volume: FloatArray) -> FloatArray:
+        """Cost of every unsigned size [rows, columns, n]: the lower of its levels' [..., L]."""
         if len(self.far) == volume.shape[-1]:  # each size is on one side only
             return volume[..., self.far]
         return np.minimum(volume[..., self.far], volume[..., self.near])
 
 
-# Steps between two levels that blur sizes and depths are tabulated at: finer than any estimate.
+# Entries per level in the tables of blur size and depth: finer than any estimate.
 _STEPS = 128
-# Depths that differ by this share are as good as each other.
+# Depths that differ by at most this share are equivalent: `confidence` is for 5 %.
 _TOLERANCE = 0.05
 
 _Maps = tuple[FloatArray, ...]
@@ -53,12 +53,33 @@ _Maps = tuple[FloatArray, ...]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Levels:
-    """What a fractional level means.
+    """Blur size and depth of fractional levels.
 
-    The `blur_sizes_px` [L] are signed, and mere indices unless `in_pixels`; `depths_m` [L] is None
-    if neither a camera nor the model says how far the levels are. `agreement`, intp [2, L], has the
-    first and last of the levels that are as good as each level: their depths differ by at most 5 %,
-    or, where depths are not known, they are neighbours.
+    Attributes
+    ----------
+    blur_sizes_px : ndarray, float64 [L]
+        Signed, positive beyond the focal plane; pixels, or only indices unless `in_pixels`.
+    depths_m : ndarray, float64 [L], or None
+        Metres along the optical axis; None if neither the model nor a camera gives them.
+    in_pixels : bool
+        Whether the blur sizes are known in pixels.
+    agreement : ndarray, intp [2, L]
+        First and last of the levels that are equivalent to each level: their depths differ by at
+        most 5 %, or, where depths are not known, they are neighbours.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
+    >>> levels = Levels.from_model(bank)
+    >>> len(levels), levels.depths_m is None
+    (15, True)
+
+    References
+    ----------
+    Martinello 2012, eq. 3.28 (blur size of a depth).
     """
 
     blur_sizes_px: DoubleArray
@@ -68,13 +89,16 @@ class Levels:
     _size_table: FloatArray
     _depth_table: FloatArray | None
     _metres_per_level: FloatArray | None
-    _bends: Camera | None  # whose depths also depend on the place in the image
+    _curved: Camera | None  # camera with field curvature: depths depend on the image position
 
     @classmethod
-    def of(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
-        """Return the levels of a model, in metres where a camera or the model itself knows.
+    def from_model(cls, model: LikelihoodModel, camera: Camera | None = None) -> "Levels":
+        """Levels of a model, with depths from its measured planes or else from the camera.
 
-        Raises `InputError` if the model is not for the camera.
+        Raises
+        ------
+        InputError
+            If the model is not for the camera.
         """
         stack = model.stack
         by_camera = camera if camera is not None and not depths_are_measured(model) else None
@@ -87,8 +111,8 @@ class Levels:
         else:
             depth = by_camera.depth_m(size).astype(np.float32)
         per_level = None if depth is None else _metres_per_level(depth)
-        # Planes were measured all over the image.
-        bends = by_camera is not None and by_camera.field_curvature is not None
+        # Measured planes include the field curvature already.
+        is_curved = by_camera is not None and by_camera.field_curvature is not None
         return cls(
             stack.blur_sizes_px,
             depths,
@@ -97,68 +121,103 @@ class Levels:
             size.astype(np.float32),
             depth,
             per_level,
-            by_camera if bends else None,
+            by_camera if is_curved else None,
         )
 
     def __len__(self) -> int:
-        """Return the number L of levels."""
+        """Number L of levels."""
         return len(self.blur_sizes_px)
 
     @property
     def nearest_first(self) -> IndexArray:
-        """The levels in the order of their depths, or of their blur sizes [L]."""
+        """Levels ordered by depth, or by blur size where depths are not known, intp [L]."""
         table = self._size_table if self._depth_table is None else self._depth_table
         return np.argsort(table[::_STEPS], kind="stable")
 
     def nearer(self, level: FloatArray, other: FloatArray) -> FloatArray:
-        """Return the nearer one of two maps of levels."""
+        """Nearer of two levels at every pixel, float32 of their shape."""
         # Depth grows or falls with the level's index.
         choose = np.minimum if self.nearest_first[0] == 0 else np.maximum
         return np.asarray(choose(level, other))
 
-    def meaning(
+    def metric_maps(
         self, level: FloatArray, deviation: FloatArray, unknown: BoolArray
     ) -> tuple[FloatArray, FloatArray, FloatArray | None, FloatArray | None]:
-        """Return fractional levels, blur sizes, px, depths, m, and their standard deviations, m.
+        """Level, blur size [px], depth [m] and standard deviation of depth [m] of every pixel.
 
-        NaN where they are unknown. Deviations of depths are made of those of levels, above 0: the
-        inverse depth is linear in the blur size, and `std(z) = z^2 std(1 / z)`; +inf where the
-        depth is. None if depths are not known. Takes maps of the whole image, without NaN.
+        The inverse depth is linear in the blur size, so ``std(z) = z^2 std(1 / z)``.
+
+        Parameters
+        ----------
+        level, deviation : ndarray, float32 [rows, columns]
+            Of the whole image, without NaN; the standard deviation is in levels, > 0.
+        unknown : ndarray, bool [rows, columns]
+            Where all results are NaN.
+
+        Returns
+        -------
+        tuple of ndarray, float32 [rows, columns]
+            The standard deviation is +inf where the depth is; both are None if depths are not
+            known.
         """
         tables = self._size_table, self._depth_table, self._metres_per_level
         known = tuple(self._size_table if table is None else table for table in tables)
         flat = tuple(np.empty(level.size, np.float32) for _ in range(4))
         look_up(level.ravel(), deviation.ravel(), unknown.ravel(), known, flat)
-        found, size_px, depth_m, std_dev_m = (values.reshape(level.shape) for values in flat)
+        known_level, size_px, depth_m, std_dev_m = (values.reshape(level.shape) for values in flat)
         if self._depth_table is None:
-            return found, size_px, None, None
-        if self._bends is not None:
-            axial_m, depth_m = depth_m, self._bends.field_corrected_depth(depth_m)
+            return known_level, size_px, None, None
+        if self._curved is not None:
+            axial_m, depth_m = depth_m, self._curved.field_corrected_depth(depth_m)
             # What is at infinity on the axis has no deviation that could be carried over.
             std_dev_m = std_dev_m * np.square(np.where(np.isinf(axial_m), 1, depth_m / axial_m))
-        return found, size_px, depth_m, std_dev_m
+        return known_level, size_px, depth_m, std_dev_m
 
     def depth_m(self, level: FloatArray, unknown: BoolArray | None = None) -> FloatArray | None:
-        """Depth of a map of fractional levels of the whole image, m; None if depths are not known.
+        """Depth [m] of every pixel, float32 [rows, columns]; None if depths are not known.
 
-        NaN where it is unknown; the map has no NaN.
+        NaN where it is unknown. `level` is of the whole image, without NaN.
         """
         if unknown is None:
             unknown = np.zeros(level.shape, np.bool_)
-        return self.meaning(level, np.zeros_like(level), unknown)[2]
+        return self.metric_maps(level, np.zeros_like(level), unknown)[2]
 
 
 def depths_are_measured(model: BlurLevels) -> bool:
-    """Return whether a model knows its depths from measurement, better than by a camera file."""
+    """Whether a model has measured depths, which take precedence over a camera file's.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> depths_are_measured(learn_bank(render_psf_stack(Mask.named("levin"), np.arange(2.0, 9))))
+    False
+    """
     return not model.mask_digest and model.stack.depths_m is not None
 
 
 def blur_sizes_px(
     model: BlurLevels, camera: Camera | None, depth_m: FloatArray
 ) -> FloatArray | None:
-    """Return the blur sizes of a depth map of the whole image, NaN where it is; None if unknown.
+    """Signed blur size [px] of every pixel of a depth map; None if depths are not known.
 
-    From whoever knows the depths of the levels best, as in `Levels`.
+    Parameters
+    ----------
+    model : BlurLevels
+        Its measured depths take precedence over the camera, as in `Levels`.
+    camera : Camera or None
+    depth_m : ndarray, float32 [rows, columns]
+        Metres, of the whole image; NaN where unknown.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns], or None
+        NaN where the depth is.
+
+    References
+    ----------
+    Martinello 2012, eq. 3.28.
     """
     if camera is None or depths_are_measured(model):
         return model.stack.interpolate_blur_size(depth_m)
@@ -166,7 +225,7 @@ def blur_sizes_px(
 
 
 def _metres_per_level(depth_m: FloatArray) -> FloatArray:
-    """Return by how much the depth changes in a level, from a table of depths; +inf at +inf."""
+    """Change of depth per level [m], at every entry of a table of depths [m]; +inf at +inf."""
     per_level = np.where(np.isnan(depth_m), np.nan, np.inf)
     known = np.isfinite(depth_m)
     depth = depth_m[known].astype(np.float64)
@@ -176,6 +235,7 @@ def _metres_per_level(depth_m: FloatArray) -> FloatArray:
 
 
 def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:
+    """First and last level that is equivalent to each of `count` levels, intp [2, L]."""
     index = np.arange(count)
     if depths_m is None:
         near = np.abs(index[:, None] - index) <= 1
@@ -188,12 +248,13 @@ def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:
 
 
 def check_camera(model: BlurLevels, camera: Camera) -> None:
-    """Refuse a camera that cannot tell the depths of a model's levels, by an `InputError`."""
+    """Raise `InputError` if a camera cannot give the depths of a model's levels."""
     if not depths_are_measured(model):
         _depths_by_camera(model, camera)
 
 
 def _depths_by_camera(model: BlurLevels, camera: Camera) -> DoubleArray:
+    """Depth of every level [m], float64 [L]; `InputError` if the model is not for the camera."""
     sizes = model.stack.blur_sizes_px
     if not model.stack.in_pixels:
         raise InputError(
@@ -225,26 +286,26 @@ def _loop(
     level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
 ) -> None:
     sizes, depths, per_level = tables
-    of_level, of_size, of_depth, of_deviation = maps
+    known_level, size_px, depth_m, std_dev_m = maps
     nan, last = np.float32(np.nan), len(sizes) - 1
     for i in range(len(level)):
-        at, gone = int(level[i] * np.float32(_STEPS) + np.float32(0.5)), unknown[i]
-        at = min(max(at, 0), last)  # never beyond the tables, whatever comes
-        of_level[i] = nan if gone else level[i]
-        of_size[i] = nan if gone else sizes[at]
-        of_depth[i] = nan if gone else depths[at]
-        of_deviation[i] = nan if gone else per_level[at] * deviation[i]
+        entry = int(level[i] * np.float32(_STEPS) + np.float32(0.5))
+        entry = min(max(entry, 0), last)  # compiled code does not check the bounds of the tables
+        known_level[i] = nan if unknown[i] else level[i]
+        size_px[i] = nan if unknown[i] else sizes[entry]
+        depth_m[i] = nan if unknown[i] else depths[entry]
+        std_dev_m[i] = nan if unknown[i] else per_level[entry] * deviation[i]
 
 
 def _plain(
     level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
 ) -> None:
-    at = (level * _STEPS + np.float32(0.5)).astype(np.int32)
-    sizes, depths, per_level = (table.take(at, mode="clip") for table in tables)
-    for found, value in zip(maps, (level, sizes, depths, per_level * deviation), strict=True):
-        np.copyto(found, np.where(unknown, np.float32(np.nan), value))
+    entry = (level * _STEPS + np.float32(0.5)).astype(np.int32)
+    sizes, depths, per_level = (table.take(entry, mode="clip") for table in tables)
+    for target, values in zip(maps, (level, sizes, depths, per_level * deviation), strict=True):
+        np.copyto(target, np.where(unknown, np.float32(np.nan), values))
 
 
-# Writes levels, sizes, depths and deviations of depths, see `Levels.meaning`, by tables of sizes,
-# depths and metres per level. All are flat, which is quicker.
+# Fills maps of level, blur size, depth and deviation of depth (see `Levels.metric_maps`) from
+# tables of sizes, depths and metres per level. All are flat, which is quicker.
 look_up = Compiled(_loop, _plain, finite=False)

@@ -1,4 +1,4 @@
-"""What is seen of one frame before its depth is estimated."""
+"""Grey image, patches and noise of one frame, before its depth is estimated."""
 
 import dataclasses
 
@@ -17,11 +17,24 @@ from coded_aperture_ros.frames import (
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Observation:
-    """One frame, patch by patch.
+    """Grey image of a frame, with brightness and usability of its patches, and noise.
 
-    `grey` is the mean of the channels [height, width], without NaN, and `noise` is of it;
-    `brightness` and `usable`, where there are next to no saturated and missing pixels, are of the
-    patches [rows, columns]. `unusable` are these pixels [height, width]; None if there are none.
+    Attributes
+    ----------
+    grey : ndarray, float32 [height, width]
+        Mean of the channels, linear light, without NaN.
+    grid : PatchGrid
+        Positions of the patches.
+    brightness : ndarray, float32 [rows, columns]
+        Mean linear light of each patch.
+    usable : ndarray, bool [rows, columns]
+        Patches with next to no saturated or missing pixels.
+    noise : GreyNoise
+        Of `grey`.
+    channels : int
+        Channels that `grey` is the mean of.
+    unusable : ndarray, bool [height, width], or None
+        Saturated and missing pixels; None if there are none.
     """
 
     grey: FloatArray
@@ -33,7 +46,7 @@ class Observation:
     unusable: BoolArray | None = None
 
     @classmethod
-    def of(
+    def from_grey(
         cls,
         grey: FloatArray,
         unusable: BoolArray | None,
@@ -42,9 +55,19 @@ class Observation:
         channels: int,
         least_noise: float = 0.0,
     ) -> "Observation":
-        """Look at a frame by itself: what `grey_image` gives, and its channels' known noise.
+        """Observation of a frame.
 
-        What compression has lost, `least_noise`, is in the mean of the channels as in each.
+        Parameters
+        ----------
+        grey, unusable : ndarray
+            As `grey_image` returns them.
+        grid : PatchGrid
+        known : KnownNoise
+            Of one channel.
+        channels : int
+        least_noise : float
+            Lower bound of the standard deviation of `grey`'s noise, linear light. Averaging the
+            channels does not lower it: the error of compression is the same in all of them.
         """
         brightness = window_brightness(grey, grid)
         usable = np.full(brightness.shape, True)
@@ -57,5 +80,5 @@ class Observation:
 
     @property
     def channel_noise(self) -> float:
-        """Standard deviation of one channel's noise, without shot noise."""
+        """Standard deviation of one channel's noise, linear light, without shot noise."""
         return self.noise.sigma * float(np.sqrt(self.channels))

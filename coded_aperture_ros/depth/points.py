@@ -1,4 +1,4 @@
-"""Points in space from a depth map, and the nearest thing in it."""
+"""Point cloud of a depth map, and its nearest obstacle."""
 
 import math
 
@@ -12,6 +12,7 @@ from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import Camera
 
+# Every second row and column of a map: obstacles cover neighbouring pixels, so a quarter is enough.
 _SPARSE = 2
 
 
@@ -24,24 +25,35 @@ def points_of_depth(
     near_m: float = 0.0,
     far_m: float = 0.0,
 ) -> FloatArray:
-    """Return the points of a depth map in the optical frame: x right, y down, z forward.
+    """Points of a depth map in the optical frame (x right, y down, z forward), with colour.
 
     Parameters
     ----------
     depth_m : ndarray, float32 [rows, columns]
         Metres along the optical axis; NaN where unknown, +inf beyond the range, -inf too near.
     confidence, std_dev_m : ndarray, float32 [rows, columns]
+        Probability that the depth is right, and its standard deviation in metres.
     colours : ndarray, uint8 [rows, columns, RGB]
     rays : ndarray, float32 [rows, columns, 2]
         See `optics.intrinsics.pixel_rays`.
     near_m, far_m : float, optional
-        Where to put what is too near and what is beyond the range, metres; 0: it has no point.
+        Distances given to pixels that are too near and beyond the range, m; 0: no point.
 
     Returns
     -------
     ndarray, float32 [rows, columns, 6]
         x, y, z in metres, NaN where there is no point; the bits of 0x00RRGGBB; confidence, and
         standard deviation in metres.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> depth_m = np.array([[2.0, np.nan]], np.float32)
+    >>> rays = np.array([[[0.1, 0.0], [0.2, 0.0]]], np.float32)
+    >>> ones = np.ones_like(depth_m)
+    >>> points = points_of_depth(depth_m, ones, 0.1 * ones, np.zeros((1, 2, 3), np.uint8), rays)
+    >>> points[0, :, :3].tolist()
+    [[0.20000000298023224, 0.0, 2.0], [nan, nan, nan]]
     """
     z = depth_m.copy()
     z[z == np.inf] = far_m if far_m > 0 else np.nan
@@ -58,35 +70,43 @@ def points_of_depth(
 def points_of_frame(
     estimate: DepthEstimate, light: FloatArray, camera: Camera, gamma: Gamma
 ) -> FloatArray:
-    """Return `points_of_depth` of an estimate in metres of a whole view, in the frame's colours."""
+    """Points of a metric estimate of a whole view, with colours; see `points_of_depth`."""
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
     small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
-    through = camera.intrinsics.rays(rows, columns)
+    rays = camera.intrinsics.rays(rows, columns)
     maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
-    return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), through)
+    return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), rays)
 
 
 def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:
-    """Return how far the nearest thing of a certain size is.
+    """Distance of the nearest obstacle that covers a share of the map, m.
 
     Parameters
     ----------
     depth_m : ndarray, float32 [rows, columns]
         NaN where unknown; -inf, which is too near to be measured, counts as the nearest.
     share : float
-        Part of the map's pixels, in (0, 1], that the thing takes up at least: single wrong pixels
-        are none.
+        Share of the map's pixels, in (0, 1], that the obstacle covers at least; it excludes single
+        wrong pixels.
 
     Returns
     -------
     float
         Metres; 0 for what is too near to be measured, +inf if everything known is beyond the
-        range, NaN if less than that part of the map is known.
+        range, NaN if less than that share of the map is known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> depth_m = np.full((4, 4), 3.0, np.float32)
+    >>> depth_m[:2] = 1.5
+    >>> nearest_obstacle_m(depth_m, 0.25)
+    1.5
     """
-    some = depth_m[::_SPARSE, ::_SPARSE]  # things have neighbouring pixels: a quarter will do
-    known = some[~np.isnan(some)]
-    count = max(1, math.ceil(share * some.size))
+    sparse_m = depth_m[::_SPARSE, ::_SPARSE]
+    known = sparse_m[~np.isnan(sparse_m)]
+    count = max(1, math.ceil(share * sparse_m.size))
     if known.size < count:
         return math.nan
     nearest = float(np.partition(known, count - 1)[count - 1])

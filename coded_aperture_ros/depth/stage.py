@@ -129,7 +129,7 @@ class Work:
     @property
     def map_grid(self) -> MapGrid:
         """Where the pixels of the maps lie among the patches."""
-        return MapGrid.of(self.observation.grid, self.observation.grey.shape, self.level.shape)
+        return MapGrid.for_map(self.observation.grid, self.observation.grey.shape, self.level.shape)
 
     def add_layer(self, spec: LayerSpec, values: FloatArray, note: str = "") -> None:
         """Add a layer; it is float32."""

@@ -1,4 +1,4 @@
-"""From the coarse grid of patches to a map of the wanted size, without mixing across edges."""
+"""Resampling between the grid of patches and depth maps, without mixing across depth edges."""
 
 import dataclasses
 
@@ -9,18 +9,27 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.frames import PatchGrid
 
-# Where the levels of the four patches around a pixel differ by more, there is a depth edge between
-# them, and they are not averaged.
+# Levels: where the four patches around a pixel differ by more, there is a depth edge between them,
+# and they are not averaged.
 _ONE_SURFACE = 3.0
-# Patches so far apart, in px, are worth one pixel of the map for each this many.
+# Pixels of the frame, between two patches, for which the map has one pixel: a finer map would show
+# nothing more.
 _MAP_PX_PER_PATCH = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class MapGrid:
-    """Where the pixels of a map of `size`, which covers the whole frame, lie among its patches.
+    """Positions of a map's pixels among the patches; the map covers the whole frame.
 
-    `patches` are the row and the column of the patch nearest to every row and column of the map.
+    Attributes
+    ----------
+    grid : PatchGrid
+    frame_shape : (int, int)
+        Rows and columns of the frame.
+    size : (int, int)
+        Rows and columns of the map.
+    patches : (ndarray, ndarray), intp [map rows], [map columns]
+        Row of the patch nearest to every row of the map, and column to every column.
     """
 
     grid: PatchGrid
@@ -29,31 +38,32 @@ class MapGrid:
     patches: tuple[IndexArray, IndexArray]
 
     @classmethod
-    def of(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape) -> "MapGrid":
-        """Return the grid of a map of `size`."""
+    def for_map(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape) -> "MapGrid":
+        """Grid of a map of `size` (rows, columns)."""
         rows, columns = (
             np.rint(_positions(*axis)).astype(np.intp) for axis in _axes(grid, frame_shape, size)
         )
         return cls(grid, frame_shape, size, (rows, columns))
 
     @classmethod
-    def worthwhile(cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape) -> "MapGrid":
-        """Return the grid of a map that is at most as large as the patches are worth."""
+    def for_resolvable_map(
+        cls, grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape
+    ) -> "MapGrid":
+        """Grid of a map of `size`, but no finer than the patches resolve."""
         finest = -(-np.array(frame_shape) // max(grid.stride_px // _MAP_PX_PER_PATCH, 1))
-        drawn = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
-        return cls.of(grid, frame_shape, drawn)
+        resolvable = (min(size[0], int(finest[0])), min(size[1], int(finest[1])))
+        return cls.for_map(grid, frame_shape, resolvable)
 
     @property
     def scale(self) -> float:
         """Pixels of the map per pixel of the frame."""
         return self.size[1] / self.frame_shape[1]
 
-    def interpolated(self, level: FloatArray) -> FloatArray:
-        """Return the map of the patches' levels [rows, columns].
+    def interpolate(self, level: FloatArray) -> FloatArray:
+        """Level of every pixel [map rows, map columns], from the levels of the patches.
 
-        Between four patches of one surface levels are interpolated bilinearly, across a depth edge
-        every pixel takes that of the nearest patch. Beyond the outermost patch centres the nearest
-        patch goes on.
+        Bilinear between four patches of one surface; at depth edges, and beyond the outermost patch
+        centres, the level of the nearest patch.
         """
         axes = _axes(self.grid, self.frame_shape, self.size)
         (in_rows, down), (in_columns, across) = (_between(*axis) for axis in axes)
@@ -66,15 +76,15 @@ class MapGrid:
         interpolated *= down[:, None]
         interpolated += first.take(in_rows, axis=0)
         on_one = one_surface.take(in_columns, axis=1).take(in_rows, axis=0)
-        return np.asarray(cv2.copyTo(interpolated, on_one, self.nearest(level)))
+        return np.asarray(cv2.copyTo(interpolated, on_one, self.nearest_patch_values(level)))
 
-    def nearest(self, values: NDArray) -> NDArray:
-        """Return the value of the nearest patch at every pixel; takes [rows, columns, ...]."""
+    def nearest_patch_values(self, values: NDArray) -> NDArray:
+        """Value of the nearest patch at every pixel [map rows, map columns, ...]."""
         rows, columns = self.patches
         return np.take(np.take(values, columns, axis=1), rows, axis=0)
 
-    def at_patches(self, values: NDArray) -> NDArray:
-        """Return the map's value at the centre of every patch [rows, columns]."""
+    def values_at_patches(self, values: NDArray) -> NDArray:
+        """Value of a map at the centre of every patch [grid rows, grid columns]."""
         axes = _axes(self.grid, self.frame_shape, self.size)
         return values[np.ix_(*(centres * length // whole for centres, whole, length in axes))]
 
@@ -82,7 +92,7 @@ class MapGrid:
 def _axes(
     grid: PatchGrid, frame_shape: tuple[int, ...], size: Shape
 ) -> tuple[tuple[IndexArray, int, int], tuple[IndexArray, int, int]]:
-    """Return for rows and columns the patches' centres, the frame's length and the map's."""
+    """Patch centres [px], length of the frame and of the map, for rows and for columns."""
     return (
         (grid.row_centres, frame_shape[0], size[0]),
         (grid.column_centres, frame_shape[1], size[1]),
@@ -90,13 +100,13 @@ def _axes(
 
 
 def _positions(centres: IndexArray, frame_length: int, length: int) -> DoubleArray:
-    """Give the fractional patch index of every output pixel of an axis."""
+    """Fractional patch index of every pixel of one axis of the map [length]."""
     scale = frame_length / length
     return np.interp((np.arange(length) + 0.5) * scale - 0.5, centres, np.arange(len(centres)))
 
 
 def _between(centres: IndexArray, frame_length: int, length: int) -> tuple[IndexArray, FloatArray]:
-    """Give the first of the two patches around every output pixel of an axis, and how far on."""
+    """First of the two patches around every pixel of an axis, and the weight of the second."""
     fractional = _positions(centres, frame_length, length)
     first = np.minimum(fractional.astype(np.intp), max(len(centres) - 2, 0))
     return first, (fractional - first).astype(np.float32)

@@ -13,20 +13,19 @@ from coded_aperture_ros.depth.estimator import DepthEstimator
 from coded_aperture_ros.depth.stage import Block, Work
 from coded_aperture_ros.frames import Frame
 
-# After this many times the length of the memory, a frame no longer counts.
+# Frames of look-ahead, in units of the memory's length: later ones have no weight left.
 _AHEAD = 2.0
-# Frames that are finished together, in units of those that are looked ahead.
+# Frames that are finished together, in units of the look-ahead.
 _BLOCK = 3
 
 
 def estimate_video(
     estimator: DepthEstimator, frames: Iterable[Frame | FloatArray], size: Shape | None = None
 ) -> Iterator[DepthEstimate]:
-    """Depth of a video's frames from the past and the future.
+    """Depth of every frame of a recorded video, from the frames before and after it.
 
-    What `DepthEstimator.estimate` does for a camera that runs, with as much of the future as of the
-    past: frames are averaged where nothing moves and costs are carried, both ways, and what two
-    ways tell of one frame is added up.
+    Like `DepthEstimator.estimate` for live frames, but non-causal: where nothing moves, frames are
+    averaged in both directions, and the costs of both directions are added up.
 
     Parameters
     ----------
@@ -45,7 +44,23 @@ def estimate_video(
     Raises
     ------
     InputError
-        If the estimator has no memory, or a frame is refused or of another size.
+        If the estimator has no memory, or a frame is invalid or of another size.
+
+    References
+    ----------
+    Martinello 2012, eq. 8.11 (weights between frames).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.depth.config import DepthConfig
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
+    >>> estimator = DepthEstimator(bank, DepthConfig(temporal_frames=1, regularize="none"))
+    >>> frames = np.random.default_rng(0).random((3, 64, 96), np.float32)
+    >>> [estimate.level.shape for estimate in estimate_video(estimator, frames)]
+    [(64, 96), (64, 96), (64, 96)]
     """
     memory = estimator.config.temporal_frames
     if not memory:
@@ -66,7 +81,7 @@ def estimate_video(
         _run_front(estimator, Block(tuple(waiting), len(new), finished))
         done = deque(waiting[:finished])
         waiting = waiting[finished:]
-        while done:  # what is done is let go of: it is large
+        while done:  # finished frames are released at once: they are large
             work = done.popleft()
             estimator.run_back(work)
             yield work.estimate()

@@ -15,8 +15,8 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, Layer, side_warning
 from coded_aperture_ros.depth.decoders.sides import (
     SideFinder,
+    condition_on_side,
     far_log_odds,
-    given_side,
     side_confidence,
 )
 from coded_aperture_ros.depth.stages.decode import SIDE
@@ -241,7 +241,7 @@ def test_asymmetry_of_masks():
 def test_probabilities_of_a_side():
     sizes = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     probability = np.array([[[0.1, 0.3, 0.0, 0.2, 0.4], [0.2] * 5]], np.float32)
-    given = given_side(probability, sizes)
+    given = condition_on_side(probability, sizes)
     assert given[0, 0] == pytest.approx([0.25, 0.75, 0, 1 / 3, 2 / 3])
     assert given[0, 1] == pytest.approx([0.2] * 5)  # uninformative
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.compiled import Compiled
-from coded_aperture_ros.depth.decoders.network.network import add_up, put_in_squares
+from coded_aperture_ros.depth.decoders.network.network import add_up, gather_squares
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
 from coded_aperture_ros.likelihood.numpy_engine import products_of_transforms
@@ -83,7 +83,7 @@ def test_both_forms_put_cells_in_the_same_squares():
     pytest.importorskip("numba")
     cells, channels = RANDOM.random((5, 4, 6), dtype=np.float32), np.array([3, 0, 3])
     squares = [np.empty((3, 4, 2, 3), np.float32) for _ in range(3)]
-    forms = put_in_squares, put_in_squares.plain, put_in_squares.loop
+    forms = gather_squares, gather_squares.plain, gather_squares.loop
     for form, found in zip(forms, squares, strict=True):
         form(cells, channels, found)
     for found in squares[1:]:

@@ -10,11 +10,7 @@ from textures import natural_texture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, Levels
-from coded_aperture_ros.depth.decoders.edges import (
-    DEPTH_EDGE_PX,
-    edge_correction,
-    slimmed_foreground,
-)
+from coded_aperture_ros.depth.decoders.edges import DEPTH_EDGE_PX, edge_correction, erode_foreground
 from coded_aperture_ros.depth.decoders.posterior import refine_level
 from coded_aperture_ros.depth.decoders.regularize import regularizer
 from coded_aperture_ros.depth.upsample import MapGrid
@@ -231,15 +227,17 @@ def test_deviation_in_metres_follows_the_camera(bank, camera):
     sizes = np.interp(level, np.arange(bank.levels), bank.blur_sizes_px)
     step = 0.1 * (bank.blur_sizes_px[1] - bank.blur_sizes_px[0])
     changed = np.abs(camera.depth_m(sizes + step) - camera.depth_m(sizes - step)) / 2
-    for levels in (Levels.of(bank, camera), Levels.of(bank)):
-        *_, found = levels.meaning(level, np.full_like(level, 0.1), np.zeros(50, bool))
+    for levels in (Levels.from_model(bank, camera), Levels.from_model(bank)):
+        *_, found = levels.metric_maps(level, np.full_like(level, 0.1), np.zeros(50, bool))
         assert found.dtype == np.float32
         assert found == pytest.approx(changed, rel=0.02)
     infinity = camera.blur_at_infinity_px
     sizes = np.linspace(0.5, 1.2, 8) * infinity
     beyond = dataclasses.replace(bank, stack=render_psf_stack(camera.mask, sizes))
     level = np.arange(8, dtype=np.float32)
-    *_, found = Levels.of(beyond, camera).meaning(level, np.ones(8, "f4"), np.zeros(8, bool))
+    *_, found = Levels.from_model(beyond, camera).metric_maps(
+        level, np.ones(8, "f4"), np.zeros(8, bool)
+    )
     assert np.array_equal(np.isinf(found), sizes >= infinity)
     assert np.all(np.diff(found[:5]) > 0)
 
@@ -364,8 +362,8 @@ def test_smaller_maps_cover_the_whole_frame(bank, stairs):
 def test_upsampling_interpolates_on_a_surface_and_not_across_an_edge():
     grid = PatchGrid(top=0, left=0, stride_px=8, rows=1, columns=4, window_px=8)
     level = np.array([[0.0, 1.0, 9.0, 9.5]], np.float32)
-    at = MapGrid.of(grid, (8, 40), (8, 40))
-    row = at.interpolated(level)[4]
+    at = MapGrid.for_map(grid, (8, 40), (8, 40))
+    row = at.interpolate(level)[4]
     centres = grid.column_centres
     assert row[centres] == pytest.approx([0, 1, 9, 9.5])
     assert row[centres[0] : centres[1] + 1] == pytest.approx(np.linspace(0, 1, 9), abs=1e-5)
@@ -387,20 +385,20 @@ def test_trimming_undoes_what_windows_do_at_an_edge():
     true[40:, :] = 5
     seen = fattened(true, 6)
     assert np.count_nonzero(seen != true) > 200
-    assert np.array_equal(slimmed_foreground(seen, 6, 9, 3.0), true)
-    assert np.array_equal(slimmed_foreground(seen, 0, 9, 3.0), seen)
+    assert np.array_equal(erode_foreground(seen, 6, 9, 3.0), true)
+    assert np.array_equal(erode_foreground(seen, 0, 9, 3.0), seen)
 
 
 def test_trimming_leaves_thin_obstacles_specks_and_slants():
     thin = np.full((60, 80), 20, np.float32)
     thin[:, 40:44] = 5
     seen = fattened(thin, 3)
-    assert np.array_equal(slimmed_foreground(seen, 6, 9, 3.0), seen)
+    assert np.array_equal(erode_foreground(seen, 6, 9, 3.0), seen)
     speck = np.full((60, 80), 5, np.float32)
     speck[30:33, 40:43] = 20
-    assert np.array_equal(slimmed_foreground(speck, 6, 9, 3.0), speck)
+    assert np.array_equal(erode_foreground(speck, 6, 9, 3.0), speck)
     slant = np.broadcast_to(np.linspace(0, 20, 80, dtype=np.float32), (60, 80)).copy()
-    assert np.array_equal(slimmed_foreground(slant, 6, 9, 3.0), slant)
+    assert np.array_equal(erode_foreground(slant, 6, 9, 3.0), slant)
 
 
 def test_two_threads_trim_as_one_does(bank):
@@ -412,7 +410,7 @@ def test_two_threads_trim_as_one_does(bank):
     for cut in (level, level[:37], level[:1]):
         steps = np.abs(np.diff(bank.blur_sizes_px)).mean()
         reach_px = round(min(bank.fattening * 0.8, 1.0) * bank.window_px)
-        expected = slimmed_foreground(cut, reach_px, 15, DEPTH_EDGE_PX / steps)
+        expected = erode_foreground(cut, reach_px, 15, DEPTH_EDGE_PX / steps)
         assert np.array_equal(edge_correction(bank, 0.8, Workers(2))(cut, 1.0), expected)
 
 

@@ -9,7 +9,7 @@ import pytest
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
 from coded_aperture_ros.depth.quality.evidence import HypothesisTest
-from coded_aperture_ros.depth.quality.health import traces
+from coded_aperture_ros.depth.quality.health import frame_statistics
 from coded_aperture_ros.depth.quality.spectra import (
     NAMES,
     SLOPES,
@@ -68,7 +68,7 @@ def test_expected_spectra_are_those_of_the_bank_s_basis():
     basis = WindowedFourierBasis(WINDOW_PX)
     used = frequencies().used.ravel()
     exact = np.array([basis.expected_power(psf, slope)[used] for slope in SLOPES])
-    found = PsfHypotheses.of([psf])
+    found = PsfHypotheses.from_psfs([psf])
     share = frequencies().share
     # The strongest texture hides the noise.
     power = share / found.weights[-1]
@@ -81,7 +81,7 @@ def test_expected_spectra_are_those_of_the_bank_s_basis():
 def test_a_hypothesis_explains_its_own_texture_best(stack):
     random = np.random.default_rng(3)
     some = [4, 14, 24]
-    hypotheses = PsfHypotheses.of([stack.psfs[level] for level in some])
+    hypotheses = PsfHypotheses.from_psfs([stack.psfs[level] for level in some])
     textures = cv2.GaussianBlur(random.standard_normal((400, 400)), (0, 0), 1.0)
     for number, level in enumerate(some):
         image = cv2.filter2D(textures, -1, stack.psfs[level])[60:-60, 60:-60]
@@ -173,7 +173,7 @@ def test_quantiles_are_those_of_numpy(shape):
 
 @pytest.mark.parametrize("frame", [np.zeros((60, 60)), np.full((96, 128), 0.5), np.eye(99)])
 def test_odd_frames_have_finite_traces(frame):
-    assert np.isfinite(traces(frame.astype(np.float32), NOISE, 0.0)).all()
+    assert np.isfinite(frame_statistics(frame.astype(np.float32), NOISE, 0.0)).all()
 
 
 def test_a_fitting_frame_keeps_its_confidence(bank, scene):
@@ -256,7 +256,7 @@ def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
 def test_what_health_leaves_of_a_confidence(value, left):
     health = Health(value, "" if value >= 0.5 else "none")
     confidence = np.array([0.8, 0.1], np.float32)
-    np.testing.assert_allclose(health.trusted(confidence), [left, 0.1], atol=1e-6)
+    np.testing.assert_allclose(health.limit_confidence(confidence), [left, 0.1], atol=1e-6)
     assert health.withheld == (value < 0.2)
 
 

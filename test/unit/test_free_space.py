@@ -9,7 +9,7 @@ from textures import natural_texture
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
-from coded_aperture_ros.depth.decoders.network.decoder import near_ends
+from coded_aperture_ros.depth.decoders.network.decoder import nearest_level_around
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -106,11 +106,11 @@ def test_smaller_maps_say_the_same(seen):
 @pytest.mark.parametrize(("pixel_px", "reach"), [(1, 1), (2, 2), (8, 2), (9, 2), (10, 3), (0.5, 1)])
 def test_the_near_end_of_the_nearest_level_around_counts(seen, pixel_px, reach):
     """Of cells of 4 px: 4 px around each pixel of the map, and all of the pixel."""
-    levels = Levels.of(seen[1], seen[0])
+    levels = Levels.from_model(seen[1], seen[0])
     far, near = levels.nearest_first[[20, 5]].astype(np.float32)
     level = np.full((30, 40), far)
     level[12, 15] = near
-    found = near_ends(level, levels, 0.7, 4, pixel_px)
+    found = nearest_level_around(level, levels, 0.7, 4, pixel_px)
     nearer = -0.7 if levels.nearest_first[0] == 0 else 0.7
     expected = np.full((30, 40), far + nearer)
     expected[12 - reach : 13 + reach, 15 - reach : 16 + reach] = near + nearer

@@ -71,13 +71,13 @@ def test_cells_cover_the_frame_and_lie_around_the_patches(shape, window):
     assert cells.left + cells.columns * CELL_PX >= shape[1]
     assert cells.rows % 2**HALVINGS == 0 and cells.columns % 2**HALVINGS == 0
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), grid)
+    at_cells, known = cells.resample_patches(np.stack([rows, columns]).astype(np.float32), grid)
     assert known.sum() == rows.size
     i, j = np.nonzero(known)
     middle = CELL_PX // 2
     assert np.array_equal(at_cells[0, i, j], cells.top + CELL_PX * i + middle)
     assert np.array_equal(at_cells[1, i, j], cells.left + CELL_PX * j + middle)
-    assert cells.of_frame(np.zeros(shape, np.float32)).shape == (
+    assert cells.pad_frame(np.zeros(shape, np.float32)).shape == (
         cells.rows * CELL_PX,
         cells.columns * CELL_PX,
     )
@@ -89,7 +89,7 @@ def test_other_strides_are_interpolated(stride):
     grid = PatchGrid.covering(shape, 48, stride)
     cells = Cells.covering(shape, grid)
     rows, columns = np.meshgrid(grid.row_centres, grid.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), grid)
+    at_cells, known = cells.resample_patches(np.stack([rows, columns]).astype(np.float32), grid)
     i, j = np.nonzero(known)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
     assert at_cells[1, i, j] == pytest.approx(cells.left + CELL_PX * j + 4, abs=1e-3)
@@ -100,7 +100,7 @@ def test_a_few_patches_fill_all_cells(side, stride):
     cells = Cells.covering((side, 96), PatchGrid.covering((side, 96), 32, stride))
     grid = PatchGrid.covering((side, 96), 32, CELL_PX)
     values = np.ones((2, grid.rows, grid.columns), np.float32)
-    at_cells, known = cells.of_patches(values, grid)
+    at_cells, known = cells.resample_patches(values, grid)
     assert at_cells == pytest.approx(1) and at_cells.shape == (2, cells.rows, cells.columns)
     assert known.any()
 
@@ -111,7 +111,7 @@ def test_patches_of_another_size_are_put_on_the_same_cells(shape, window):
     cells = Cells.covering(shape, PatchGrid.covering(shape, window, CELL_PX))
     small = PatchGrid.covering(shape, 32, CELL_PX)
     rows, columns = np.meshgrid(small.row_centres, small.column_centres, indexing="ij")
-    at_cells, known = cells.of_patches(np.stack([rows, columns]).astype(np.float32), small)
+    at_cells, known = cells.resample_patches(np.stack([rows, columns]).astype(np.float32), small)
     i, j = np.nonzero(known)
     assert len(i) >= (small.rows - 1) * (small.columns - 1)
     assert at_cells[0, i, j] == pytest.approx(cells.top + CELL_PX * i + 4, abs=1e-3)
@@ -128,8 +128,8 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     volume = np.broadcast_to(np.abs(sizes) - 3, (grid.rows, grid.columns, 13)).astype(np.float32)
     misfit = np.full((grid.rows, grid.columns), 0.25, np.float32)
     grey = np.full(shape, 0.2, np.float32)
-    folding = Folding.of(sizes)
-    looks = [PatchScale(folding.of_sizes(volume), misfit, grid)] * 2
+    folding = Folding.from_sizes(sizes)
+    looks = [PatchScale(folding.fold_volume(volume), misfit, grid)] * 2
     near = float(sign < 0)
     around = LocalContext.of(grey, 0.001)
     features = cost_features(looks, around, cells, folding.sizes_px, near)
@@ -165,13 +165,13 @@ def test_small_patches_have_a_bank_of_the_same_psfs(camera):
 
 def test_levels_of_both_sides_are_folded():
     sizes = np.arange(-3, 5) * 0.7
-    folding = Folding.of(sizes)
+    folding = Folding.from_sizes(sizes)
     assert folding.sizes_px == pytest.approx(np.arange(5) * 0.7)
     assert folding.far.tolist() == [3, 4, 5, 6, 7]
     assert folding.near.tolist() == [3, 2, 1, 0, 7]  # the largest is on one side only
     volume = np.float32([[[7, 6, 5, 4, 3, 5.5, 6, 1]]])
-    assert folding.of_sizes(volume).tolist() == [[[4, 3, 5.5, 6, 1]]]
-    one = Folding.of(-sizes[4:][::-1])
+    assert folding.fold_volume(volume).tolist() == [[[4, 3, 5.5, 6, 1]]]
+    one = Folding.from_sizes(-sizes[4:][::-1])
     assert one.sizes_px == pytest.approx(np.arange(1, 5) * 0.7)
     assert one.far.tolist() == one.near.tolist() == [3, 2, 1, 0]
 

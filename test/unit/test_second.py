@@ -17,9 +17,9 @@ def test_the_one_beside_is_the_one_that_is_not_there():
     less, more, share = (np.full((1, 2), value, np.float32) for value in (3.0, 9.0, 0.2))
     at_net, at_wall = np.float32([[3.4] * 4] * 2), np.float32([[8.0] * 4] * 2)
     pair = Pair(odds, less, more, share)
-    pair = pair.mapped(lambda part: np.repeat(np.repeat(part, 2, 0), 2, 1))
+    pair = pair.map_values(lambda part: np.repeat(np.repeat(part, 2, 0), 2, 1))
     for size_px, other, taken in ((at_net, 9.0, 0.8), (at_wall, 3.0, 0.2)):
-        found, of_window = pair.beside(size_px)
+        found, of_window = pair.other_surface(size_px)
         assert found[:, :2] == pytest.approx(other) and of_window[:, :2] == pytest.approx(taken)
         assert np.isnan(found[:, 2:]).all() and np.isnan(of_window[:, 2:]).all()
 

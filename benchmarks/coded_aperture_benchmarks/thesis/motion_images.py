@@ -113,7 +113,7 @@ def identify_motions(
     random, random_texture = crops_generator(seed), textures.kind == "random"
     crop = textures.crops(1, whole, whole, random)[0]
     shape = (SIDE_PX, SIDE_PX)
-    nearest = np.ix_(*MapGrid.of(engine.grid, shape, shape).patches)
+    nearest = np.ix_(*MapGrid.for_map(engine.grid, shape, shape).patches)
     errors: dict[str, list[NDArray[np.intp]]] = {}
     for level, psf in enumerate(stack.psfs):
         for motion, vector in enumerate(motions.vectors_px):

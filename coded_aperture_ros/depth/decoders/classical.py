@@ -9,8 +9,8 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, Sh
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.edges import EdgeCorrection
 from coded_aperture_ros.depth.decoders.posterior import (
-    confidence_of,
     is_uninformative,
+    level_confidence,
     level_deviation,
     level_probability,
     nearest_plausible_level,
@@ -38,7 +38,7 @@ class ClassicalDecoded:
     def quantile(self, probability: float) -> FloatArray:
         """See `Decoded.quantile`."""
         nearest = nearest_plausible_level(self.probability, self.nearest_first, probability)
-        return np.asarray(self.map_grid.nearest(nearest.astype(np.float32)))
+        return np.asarray(self.map_grid.nearest_patch_values(nearest.astype(np.float32)))
 
     def nearest_around(self, probability: float) -> FloatArray | None:
         """None: the posterior of single patches is too coarse at depth edges for a bound."""
@@ -88,8 +88,8 @@ class ClassicalDecoder:
         levels_of_patches = self.regularize(
             volume, frame_cost.volume, observation.brightness, grid.stride_px
         )
-        at = MapGrid.worthwhile(grid, observation.grey.shape, size)
-        level = self.correct_edges(at.interpolated(levels_of_patches), at.scale)
+        at = MapGrid.for_resolvable_map(grid, observation.grey.shape, size)
+        level = self.correct_edges(at.interpolate(levels_of_patches), at.scale)
         probability = level_probability(volume)
         (confidence, side_confidence), deviation = self.workers.both(
             partial(self._confidence, level, levels_of_patches, volume, probability, at),
@@ -97,7 +97,7 @@ class ClassicalDecoder:
         )
         uninformative = ~observation.usable | self._gaps(probability)
         if uninformative.any():
-            confidence[at.nearest(uninformative)] = 0
+            confidence[at.nearest_patch_values(uninformative)] = 0
         return ClassicalDecoded(
             level,
             deviation,
@@ -119,12 +119,14 @@ class ClassicalDecoder:
         """Probability that each pixel's level is right, and that its side is."""
         agreement = self.levels.agreement
         if self.sides is None:
-            return confidence_of(level, probability, at.patches, agreement), None
-        side_confidence = at.nearest(self.sides.confidence(levels_of_patches, volume, at.grid))
-        given_side = self.sides.given(probability)
-        confidence = confidence_of(level, given_side, at.patches, agreement)
+            return level_confidence(level, probability, at.patches, agreement), None
+        side_confidence = at.nearest_patch_values(
+            self.sides.confidence(levels_of_patches, volume, at.grid)
+        )
+        given_side = self.sides.condition_on_side(probability)
+        confidence = level_confidence(level, given_side, at.patches, agreement)
         # Where both sides' depths are about the same, either is right.
-        confidence *= np.where(self.sides.agree(level), 1, side_confidence)
+        confidence *= np.where(self.sides.is_ambiguous(level), 1, side_confidence)
         return confidence, side_confidence
 
     def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:

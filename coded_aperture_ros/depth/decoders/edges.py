@@ -1,4 +1,4 @@
-"""Foreground fattening at occluding edges, as of windows in stereo, and how it is undone."""
+"""Correction of foreground fattening at occluding edges, as of windows in stereo."""
 
 from collections.abc import Callable
 from functools import partial
@@ -10,20 +10,19 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood import LikelihoodModel
 
-# Surfaces whose blur sizes differ by more than this, within a window, are not one slant.
+# Blur size, px: surfaces that differ by more within a window are separated by a depth edge.
 DEPTH_EDGE_PX = 2.3
 
-
-# A map of levels and its scale, map pixels per frame pixel, to the corrected map.
+# From a map of levels and its scale (map pixels per frame pixel) to the corrected map.
 EdgeCorrection = Callable[[FloatArray, float], FloatArray]
 
 
 def edge_correction(model: LikelihoodModel, strength: float, workers: Workers) -> EdgeCorrection:
-    """Return what takes the foreground fattening of a model's windows back.
+    """Function that undoes the foreground fattening of a model's windows.
 
-    `strength` is the width that is taken off foregrounds, as a share of a Hann window. Where the
-    model has levels in front of the focal plane nothing changes: there the nearer surface is the
-    more blurred one, and which of two a window takes is another matter.
+    `strength` is the width that foregrounds lose, as a share of a Hann window. The function changes
+    nothing if the model has levels in front of the focal plane: there the nearer surface is the
+    more blurred one, and windows do not always take its level.
     """
     sizes = model.stack.blur_sizes_px
     if (sizes < 0).any() or not model.stack.in_pixels:
@@ -38,45 +37,52 @@ def edge_correction(model: LikelihoodModel, strength: float, workers: Workers) -
         speck_px = 2 * round(window_px / 4) - 1  # odd: centred on its pixel
         reach_px = round(share * window_px)
         level = level if behind > 0 else -level
-        # In two halves, each with as much of the other as matters to it.
+        # Two halves in parallel, each with the margin of the other that the filters reach.
         middle, beyond_px = len(level) // 2, 2 * reach_px + max(speck_px, 0)
         upper, lower = workers.both(
             *(
-                partial(slimmed_foreground, part, reach_px, speck_px, jump_levels)
+                partial(erode_foreground, part, reach_px, speck_px, jump_levels)
                 for part in (level[: middle + beyond_px], level[max(middle - beyond_px, 0) :])
             )
         )
-        slimmed = np.concatenate([upper[:middle], lower[middle - len(level) :]])
-        return slimmed if behind > 0 else -slimmed
+        corrected = np.concatenate([upper[:middle], lower[middle - len(level) :]])
+        return corrected if behind > 0 else -corrected
 
     return correct
 
 
-def slimmed_foreground(
+def erode_foreground(
     level: FloatArray, reach_px: int, speck_px: int, jump_levels: float
 ) -> FloatArray:
-    """Undo foreground fattening: make foregrounds slimmer that windows have made too wide.
+    """Level map [rows, columns] with foregrounds made narrower by what windows widened them.
 
     A window that sees a sharper and a more blurred surface takes the level of the sharper, whose
-    high frequencies the other's level forbids, even where it covers little of the window. So beyond
-    the focal plane every foreground is too wide by a known share of the window: the level map is,
-    nearly, the true one after a morphological erosion. The dilation that belongs to it restores the
+    high frequencies contradict the other's level, even where it covers little of the window. So
+    beyond the focal plane every foreground is too wide by a known share of the window: the level
+    map is, nearly, the true one after a morphological erosion. The matching dilation restores the
     edge. It is applied only where levels jump; slants stay as they are. A foreground narrower than
-    what would be taken off stays as wide as it was found: an obstacle must not vanish.
+    the correction keeps its width: an obstacle must not vanish.
 
-    Larger levels, float32 [rows, columns], are more blurred, and behind. Foregrounds are too wide
-    by `reach_px` on each side, in pixels of the map; backgrounds narrower than `speck_px` do not
-    push a foreground back, as they may be outliers; `jump_levels` make a depth edge.
+    Parameters
+    ----------
+    level : ndarray, float32 [rows, columns]
+        Larger levels are more blurred, and behind.
+    reach_px : int
+        Width by which foregrounds are too wide on each side, pixels of the map.
+    speck_px : int
+        Backgrounds narrower than this do not narrow a foreground: they may be outliers.
+    jump_levels : float
+        Difference of levels that is a depth edge.
     """
     if reach_px < 1:
         return level
     reach = np.ones((2 * reach_px + 1,) * 2, np.uint8)
-    # By OpenCV's copies, which are several times as fast as a choice by NumPy.
-    background, slimmed = level.copy(), level.copy()
+    # OpenCV's masked copies are several times as fast as `np.where`.
+    background, corrected = level.copy(), level.copy()
     if speck_px > 1:
         opened = cv2.morphologyEx(level, cv2.MORPH_OPEN, np.ones((speck_px, speck_px), np.uint8))
         cv2.copyTo(opened, (level - opened > jump_levels).view(np.uint8), background)
     behind = cv2.dilate(background, reach)
     thin = cv2.erode(behind, reach, dst=background) - level > jump_levels
     far = (behind - level > jump_levels) & ~thin
-    return np.asarray(cv2.copyTo(behind, far.view(np.uint8), slimmed))
+    return np.asarray(cv2.copyTo(behind, far.view(np.uint8), corrected))

@@ -1,24 +1,24 @@
-"""From costs to probabilities: of every level, that the estimated one is right, and how nearly."""
+"""Posterior of the levels: their probabilities, confidence and standard deviation."""
 
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
 
-# Offset and slope of the logistic calibration of a patch's probability, fitted on ray-traced
-# scenes, and how sure a patch may be.
+# Offset and slope of the logistic calibration of a patch's log-odds, fitted on ray-traced scenes.
 _CALIBRATION = (0.7, 0.22)
+# Least distance of a patch's probability from 0 and 1.
 _SURE = 1e-3
-# What a level is off by at least, in levels, and the factor of all deviations: of random scenes'
-# errors 68 % are within one, and as many where the deviation is small as where it is large.
+# Least error, in levels before scaling, and factor of all standard deviations. Fitted so that 68 %
+# of random scenes' errors are within one, whether it is small or large.
 _LEAST_DEVIATION = 2.0
 _DEVIATION = 0.18
 
 
 def refine_level(cost: FloatArray, level: IndexArray) -> FloatArray:
-    """Refine whole levels by the parabola through each level's cost and its neighbours'.
+    """Fractional level at the vertex of the parabola through a level's cost and its neighbours'.
 
-    At most half a level is added or taken away. At the ends of the range, and where the cost
-    is not convex, the level stays whole.
+    Takes costs [..., L] and whole levels [...]. The result differs by at most half a level. At the
+    ends of the range, and where the cost is not convex, the level stays whole.
     """
     last = cost.shape[-1] - 1
     if last < 2:
@@ -34,10 +34,7 @@ def refine_level(cost: FloatArray, level: IndexArray) -> FloatArray:
 
 
 def level_probability(volume: FloatArray) -> FloatArray:
-    """Return the probability of every level from its cost.
-
-    Takes and gives [rows, columns, L]; sums to one over the levels.
-    """
+    """Probability of every level [rows, columns, L] from its cost; the sum over levels is 1."""
     probability = np.exp(-volume)
     probability /= probability.sum(axis=-1, keepdims=True)
     return probability
@@ -46,39 +43,49 @@ def level_probability(volume: FloatArray) -> FloatArray:
 def nearest_plausible_level(
     probability: FloatArray, nearest_first: IndexArray, share: float
 ) -> IndexArray:
-    """Level [rows, columns] that a patch's true level is nearer than with a share of probability.
+    """Level [rows, columns] below which a share of the probability is nearer: a quantile of depth.
 
-    From the probability [rows, columns, L]; `nearest_first` are the levels, ordered by depth.
+    Takes the probability of every level [rows, columns, L] and the levels ordered by depth [L].
     """
     nearer = np.cumsum(probability[..., nearest_first], axis=-1)
     rank = (nearer < share).sum(axis=-1)
     return np.asarray(nearest_first[np.minimum(rank, len(nearest_first) - 1)])
 
 
-def confidence_of(
+def level_confidence(
     level: FloatArray,
     probability: FloatArray,
     patches: tuple[IndexArray, IndexArray],
     agreement: IndexArray,
 ) -> FloatArray:
-    """Return the probability that the true level agrees with the estimated one.
+    """Probability that the true level is equivalent to the estimated one, of every pixel.
 
-    The probability that a pixel's own patch gives to the level is calibrated: near depth edges a
-    patch is surer than it should be, and what its neighbours have decided may be right against it.
-    Where a patch is uninformative, the level is its neighbours' alone, and the confidence that of a
-    guess.
+    It is the calibrated probability by the pixel's nearest patch: near depth edges a patch is
+    overconfident, and its neighbours' level may be right against it. Where a patch is
+    uninformative, the level comes from its neighbours and the confidence is that of a guess.
 
-    Takes the fractional level of every pixel [rows, columns], the probability of the patches [grid
-    rows, grid columns, L], see `level_probability`, the patch of every row and of every column of
-    pixels, see `MapGrid`, and the first and last level that is as good as each level [2, L], see
-    `Levels`. Returns float32 in [0, 1]; where the patch knows something, between 0.31 and 0.90.
+    Parameters
+    ----------
+    level : ndarray, float32 [rows, columns]
+        Fractional level of every pixel.
+    probability : ndarray, float32 [grid rows, grid columns, L]
+        As from `level_probability`.
+    patches : (ndarray, ndarray), intp [rows], [columns]
+        Nearest patch of every row and column of pixels; see `MapGrid`.
+    agreement : ndarray, intp [2, L]
+        First and last level that is equivalent to each level; see `Levels`.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
+        In [0, 1]; where the patch is informative, between 0.31 and 0.90.
     """
-    # For every level that a patch may be given, as there are fewer of these than pixels.
+    # Computed for every level of every patch: there are fewer of these than pixels.
     levels = probability.shape[-1]
     by_level = np.ascontiguousarray(np.moveaxis(probability, -1, 0))
     up_to = np.zeros((levels + 1, *by_level.shape[1:]), np.float32)
-    for below, own, total in zip(up_to, by_level, up_to[1:], strict=False):
-        np.add(below, own, out=total)
+    for below, of_level, total in zip(up_to, by_level, up_to[1:], strict=False):
+        np.add(below, of_level, out=total)
     first, last = agreement
     mass = up_to[last + 1] - up_to[first]
     offset, slope = map(np.float32, _CALIBRATION)
@@ -87,7 +94,7 @@ def confidence_of(
     confidence = 1 / (1 + odds_against)
     guessed = is_uninformative(probability)
     if guessed.any():
-        # With few levels a guess is often right; it is no surer than who knows least.
+        # With few levels a guess is often right; its confidence stays below any informed one.
         least = 1 / (1 + np.exp(-offset) * (1 / _SURE - 1) ** slope)
         confidence = np.where(guessed, np.minimum(mass, least), confidence)
     rows, columns = patches
@@ -95,7 +102,7 @@ def confidence_of(
     index *= guessed.size
     index += (rows * guessed.shape[1]).astype(np.int32)[:, None]
     index += columns.astype(np.int32)
-    # All are within: not checking it is quicker.
+    # All indices are within bounds; "clip" skips the check, which is quicker.
     return confidence.astype(np.float32, copy=False).ravel().take(index, mode="clip")
 
 
@@ -105,15 +112,26 @@ def level_deviation(
     patches: tuple[IndexArray, IndexArray],
     among: IndexArray | None = None,
 ) -> FloatArray:
-    """Return the standard deviation of the estimated levels, in levels, above 0.
+    """Standard deviation of the estimated level of every pixel, in levels, > 0.
 
-    The spread of what a pixel's own patch finds probable, and how far the estimated level is from
-    its mean: near depth edges, and where neighbours have decided. The patch is as much less sure
-    than it says as for the confidence.
+    It combines the spread of the nearest patch's posterior, flattened as for the confidence, with
+    the distance of the estimated level from its mean, which is large near depth edges and where
+    neighbours have decided.
 
-    Takes the fractional level of every pixel [rows, columns], the cost of the patches [grid rows,
-    grid columns, L], the patch of every row and of every column of pixels, see `MapGrid`, and
-    `among` which levels the true one may be; by default all. Returns float32 [rows, columns].
+    Parameters
+    ----------
+    level : ndarray, float32 [rows, columns]
+        Fractional level of every pixel.
+    volume : ndarray, float32 [grid rows, grid columns, L]
+        Cost of every level of the patches.
+    patches : (ndarray, ndarray), intp [rows], [columns]
+        Nearest patch of every row and column of pixels; see `MapGrid`.
+    among : ndarray, intp [n], optional
+        Levels that the true one may be; all by default.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
     """
     index = np.arange(volume.shape[-1], dtype=np.float32)
     if among is not None:
@@ -124,17 +142,17 @@ def level_deviation(
     variance = probability @ index**2 - mean**2
     rows, columns = patches
 
-    def of_pixels(values: FloatArray) -> FloatArray:
+    def to_pixels(values: FloatArray) -> FloatArray:
         return values.take(columns, axis=1).take(rows, axis=0)
 
-    square = level - of_pixels(mean)
+    square = level - to_pixels(mean)
     square *= square
-    square += of_pixels(np.maximum(variance, 0) + np.float32(_LEAST_DEVIATION**2))
+    square += to_pixels(np.maximum(variance, 0) + np.float32(_LEAST_DEVIATION**2))
     np.sqrt(square, out=square)
     square *= np.float32(_DEVIATION)
     return square
 
 
 def is_uninformative(probability: FloatArray) -> BoolArray:
-    """Return which patches [rows, columns] find all levels alike."""
+    """Patches whose levels are all about equally probable [rows, columns]."""
     return probability.max(axis=-1) <= 1.0001 / probability.shape[-1]

@@ -1,16 +1,16 @@
-"""Semi-global matching: costs of levels along the cheapest paths through the patches."""
+"""Semi-global matching: cost of every level along the cheapest paths through the patches."""
 
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.compiled import Compiled
 
-# The cost of a level counts up to here; beyond, it is an outlier (natural logarithm).
+# Largest cost of a level, natural logarithm: beyond, a patch is an outlier.
 _MOST_COST = 7.0
-# Weights of the smoothness beside natural-logarithm likelihoods.
+# Costs of a step of one level and of a jump, natural logarithm.
 _P1 = 4.0
 _P2 = 22.0
-# Where the brightness changes by much more than usual, smoothness counts only this share.
+# Share of the smoothness that is left where the brightness changes by much more than usual.
 _ACROSS_CONTRAST = 0.3
 
 
@@ -18,7 +18,7 @@ def _loop(
     volume: FloatArray, weights: FloatArray, p1: np.float32, p2: np.float32, total: FloatArray
 ) -> None:
     rows, columns, levels = volume.shape
-    # Beyond the first and last level nothing is cheap.
+    # Levels beyond the first and last one are never the cheapest.
     previous = np.full((columns, levels + 2), np.float32(1e30), np.float32)
     here = np.empty(levels + 2, np.float32)
     for backwards in range(2):
@@ -78,13 +78,26 @@ add_best_paths = Compiled(_loop, _plain)
 def semi_global_cost(
     volume: FloatArray, smoothness: float, brightness: FloatArray | None
 ) -> FloatArray:
-    """Minimise along rows and columns, both ways, and add up (Hirschmueller, 2008).
+    """Sum of the costs of the best paths to every level of every patch [rows, columns, L].
 
-    Each of the four paths through a patch is minimised exactly, with a small cost for steps of
-    one level, as of slants, and a larger one for jumps. Takes and gives [rows, columns, L].
+    The four paths along rows and columns are minimised exactly, with a small cost for steps of one
+    level, as of slants, and a larger one for jumps.
+
+    Parameters
+    ----------
+    volume : ndarray, float32 [rows, columns, L]
+        Cost of every level.
+    smoothness : float
+        Factor of the costs of steps and jumps.
+    brightness : ndarray, float32 [rows, columns], or None
+        Mean linear light of every patch; edges of it make jumps cheaper.
+
+    References
+    ----------
+    H. Hirschmueller, Stereo processing by semiglobal matching and mutual information, 2008.
     """
-    known = np.ascontiguousarray(bound_outliers(volume))
-    rows, columns = known.shape[:2]
+    bounded = np.ascontiguousarray(bound_outliers(volume))
+    rows, columns = bounded.shape[:2]
     down = np.full((rows - 1, columns), smoothness, np.float32)
     across = np.full((rows, columns - 1), smoothness, np.float32)
     if brightness is not None and brightness.size > 1:
@@ -98,15 +111,15 @@ def semi_global_cost(
         down *= weights[0] / mean
         across *= weights[1] / mean
     # Every path counts the cost of its patch.
-    total = -3 * known
-    add_best_paths(known, down, np.float32(_P1), np.float32(_P2), total)
+    total = -3 * bounded
+    add_best_paths(bounded, down, np.float32(_P1), np.float32(_P2), total)
     add_best_paths(
-        known.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
+        bounded.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
     )
     return total
 
 
 def bound_outliers(volume: FloatArray) -> FloatArray:
-    """Return the negative logarithm of the probability, up to where it is an outlier's."""
-    of_all = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
-    return np.minimum(volume + of_all, np.float32(_MOST_COST))
+    """Negative logarithm of the probability of every level [..., L], at most an outlier's."""
+    log_sum = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
+    return np.minimum(volume + log_sum, np.float32(_MOST_COST))

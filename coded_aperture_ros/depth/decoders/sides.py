@@ -37,12 +37,12 @@ _ONE_SURFACE = 3.0
 # A patch's odds of the sides count with this share beside what its spectrum says: windows
 # overlap, and a texture that looks like one of the other side does so in many of them. From
 # simulated scenes; with it, the confidence of the side is about how often it is right.
-_SHARE = 0.15
+_PATCH_ODDS_WEIGHT = 0.15
 # What one blur size for the whole frame leaves unexplained, as a share of the texture at every
 # frequency.
 _MODEL_ERROR = 0.1
 # Gradients below this share of their surroundings' are taken to be of one size.
-_FLOOR = 0.1
+_GRADIENT_FLOOR = 0.1
 _TINY = 1e-12
 # Natural logarithm of the odds for a difference of one in the mean logarithm of the squared
 # gradients, on planes with photographs. No patch is surer than the second.
@@ -74,7 +74,7 @@ class FocalSides:
         self._regularize = regularize
         self._ambiguous = _ambiguous_levels(levels)
 
-    def weigh(self, volume: FloatArray, seen: Observation, grey: FloatArray) -> FloatArray:
+    def weigh(self, volume: FloatArray, observation: Observation, grey: FloatArray) -> FloatArray:
         """Return the cost of every level by spectrum and phase, from that by the spectrum alone.
 
         Spectra tell the size of the blur, the same for both sides. With the PSF of that size, and
@@ -82,25 +82,27 @@ class FocalSides:
         levels of the less likely side cost more: by the mean of the patch and its neighbours with
         about the same blur.
         """
-        sizes, grid = self._sizes_px, seen.grid
+        sizes, grid = self._sizes_px, observation.grid
         longer = np.sign(sizes[np.abs(sizes).argmax()])
         one_side = np.flatnonzero(sizes * longer >= 0)
         of_sizes = volume[..., one_side]
-        levels = self._regularize(of_sizes, of_sizes, seen.brightness, grid.stride_px)
+        levels = self._regularize(of_sizes, of_sizes, observation.brightness, grid.stride_px)
         chosen = np.rint(levels).astype(np.intp)
-        far = self._finder.log_odds(grey, grid, one_side[chosen], seen.noise.typical)
+        far = self._finder.log_odds(grey, grid, one_side[chosen], observation.noise.typical)
         far[is_uninformative(level_probability(volume))] = 0
         levels = chosen.astype(np.float32)
-        far = _around(far, levels, grid) / _around(np.ones_like(far), levels, grid)
-        far *= np.float32(_SHARE)
+        far = _sum_over_surface(far, levels, grid) / _sum_over_surface(
+            np.ones_like(far), levels, grid
+        )
+        far *= np.float32(_PATCH_ODDS_WEIGHT)
         # -log p of each level's side.
         both = volume + np.logaddexp(0, -np.sign(sizes).astype(np.float32) * far[..., None])
         both -= both.min(axis=-1, keepdims=True)
         return np.asarray(both, np.float32)
 
-    def given(self, probability: FloatArray) -> FloatArray:
+    def condition_on_side(self, probability: FloatArray) -> FloatArray:
         """Return the probability of every level if its side is the right one."""
-        return given_side(probability, self._sizes_px)
+        return condition_on_side(probability, self._sizes_px)
 
     def confidence(self, level: FloatArray, volume: FloatArray, grid: PatchGrid) -> FloatArray:
         """Return how likely each patch is on the side of its level; see `side_confidence`."""
@@ -120,7 +122,7 @@ class FocalSides:
         )
         return np.where(far[np.rint(level).astype(np.intp)], beyond, before)
 
-    def agree(self, level: FloatArray) -> BoolArray:
+    def is_ambiguous(self, level: FloatArray) -> BoolArray:
         """Return where the level of the other side with the same blur is as good."""
         return np.asarray(self._ambiguous[np.rint(level).astype(np.intp)])
 
@@ -136,7 +138,7 @@ def _ambiguous_levels(levels: Levels) -> BoolArray:
     return np.asarray(agree & (first <= mirrored) & (mirrored <= last))
 
 
-def given_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
+def condition_on_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
     """Return the probability of every level if its side of the focal plane is the right one.
 
     Takes and gives [rows, columns, L]. Patches that are uninformative are left as they are.
@@ -150,7 +152,9 @@ def given_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArra
 
 
 def far_log_odds(
-    volume: FloatArray, blur_sizes_px: DoubleArray, surest: float = _SHARE * _MOST_LOG_ODDS
+    volume: FloatArray,
+    blur_sizes_px: DoubleArray,
+    surest: float = _PATCH_ODDS_WEIGHT * _MOST_LOG_ODDS,
 ) -> FloatArray:
     """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
 
@@ -174,19 +178,19 @@ def side_confidence(
     that were chosen and the `far_log_odds`, both [rows, columns].
     """
     # Windows that overlap tell the same again.
-    independent = _around(log_odds, level, grid) / _reach(grid) ** 2
+    independent = _sum_over_surface(log_odds, level, grid) / _patches_per_window(grid) ** 2
     side = np.sign(np.interp(level, np.arange(len(blur_sizes_px)), blur_sizes_px))
     return np.asarray(1 / (1 + np.exp(-side * independent)), np.float32)
 
 
-def _reach(grid: PatchGrid) -> int:
+def _patches_per_window(grid: PatchGrid) -> int:
     """Return how many patches away the next window begins."""
     return max(round(grid.window_px / grid.stride_px), 1)
 
 
-def _around(values: FloatArray, level: FloatArray, grid: PatchGrid) -> FloatArray:
+def _sum_over_surface(values: FloatArray, level: FloatArray, grid: PatchGrid) -> FloatArray:
     """Return the sum over each patch and its neighbours on the same surface [rows, columns]."""
-    reach = _reach(grid)
+    reach = _patches_per_window(grid)
     rows, columns = values.shape
     other_levels = np.pad(level, reach, constant_values=np.float32(np.inf))
     others = np.pad(values, reach)
@@ -221,13 +225,15 @@ class SideFinder:
         spectrum = scipy.fft.rfft2(extend_periodically(grey - grey.mean(), self._periodic))
         found = np.zeros(level.shape, np.float32)
         for one in np.unique(level):
-            clearer = self._clearer(spectrum, int(one), noise)
+            clearer = self._gradient_log_ratio(spectrum, int(one), noise)
             own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
             here = level == one
             found[here] = own_side * _GAIN * window_means(clearer, grid, grid.window_px)[here]
         return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
-    def _clearer(self, spectrum: NDArray[np.complex64], level: int, noise: float) -> FloatArray:
+    def _gradient_log_ratio(
+        self, spectrum: NDArray[np.complex64], level: int, noise: float
+    ) -> FloatArray:
         """Return by how much clearer the frame is by a level's PSF than by that turned around.
 
         The logarithm of the ratio of the squared gradients, of every pixel [height, width].
@@ -241,7 +247,7 @@ class SideFinder:
         logarithm = np.zeros(self._shape, np.float32)
         for mine, others in zip(own, other, strict=True):
             side = (self._around_px | 1,) * 2
-            floor = _FLOOR**2 / 2 * cv2.blur(mine + others, side) + _TINY
+            floor = _GRADIENT_FLOOR**2 / 2 * cv2.blur(mine + others, side) + _TINY
             logarithm += cv2.log((others + floor) / (mine + floor))
         return logarithm
 

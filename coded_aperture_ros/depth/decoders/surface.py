@@ -1,4 +1,4 @@
-"""Between whole levels: surfaces through what every patch says, bent as little as it allows."""
+"""Fractional levels: surfaces with little bending, fitted to the costs of all patches."""
 
 import numpy as np
 import scipy.sparse
@@ -6,28 +6,28 @@ import scipy.sparse
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.depth.decoders.posterior import refine_level
 
-# What a bend of one level costs, beside costs in natural logarithms, for patches of
-# `_AT_STRIDE_PX`: the same surface bends less from patch to patch if these are nearer.
+# Cost of a second difference of one level, natural logarithm, for patches `_AT_STRIDE_PX` apart:
+# the same surface bends less from patch to patch if these are nearer.
 _STIFFNESS = 4.0
 _AT_STRIDE_PX = 8
-# Second differences of the cost are at least this: where a patch is uninformative, the surface of
-# its neighbours goes on.
+# Least second difference of the cost, per squared level: where a patch is uninformative, its
+# neighbours' surface goes on.
 _LEAST_CURVATURE = 1e-3
-# Patches that differ by many more levels than this are not on one surface.
+# Levels: patches that differ by much more are not on one surface.
 _ONE_SURFACE = 0.7
-# After these the levels are within 0.01 of where they would end, or earlier, by what is left of the
-# squared residual.
+# Most iterations, after which levels are within 0.01 of convergence, and the share of the squared
+# residual at which they end earlier.
 _ITERATIONS = 32
 _SOLVED = 1e-9
 
 
-def on_surfaces(
-    own: FloatArray, chosen: IndexArray, smoothness: float, stride_px: int
+def fit_surfaces(
+    frame_cost: FloatArray, chosen: IndexArray, smoothness: float, stride_px: int
 ) -> FloatArray:
-    """Return fractional levels, in [0, L - 1], next to the whole ones that were chosen.
+    """Fractional level of every patch, near the whole level that was chosen for it.
 
-    As in thesis 8.3.2 the cost of each patch is expanded to second order (eq. 8.22), around its
-    minimum ``d_0`` next to the chosen level. The sum that is minimised is quadratic::
+    The cost of each patch is expanded to second order around its minimum ``d_0`` next to the chosen
+    level. The sum that is minimised is quadratic::
 
         sum h (d - d_0)^2  +  stiffness  sum w (d_before - 2 d + d_after)^2
 
@@ -35,29 +35,46 @@ def on_surfaces(
     of three patches in a row or a column, next to nothing where levels jump. The thesis draws
     neighbours to one depth (eq. 8.12); here slants cost nothing.
 
-    Takes each patch's own cost [rows, columns, L], not cut off, the levels that the regularisation
-    has chosen [rows, columns], and a factor of the stiffness; 0: every patch for itself.
+    Parameters
+    ----------
+    frame_cost : ndarray, float32 [rows, columns, L]
+        Cost of every level by the frame alone, not bounded.
+    chosen : ndarray, intp [rows, columns]
+        Levels that the regularisation has chosen.
+    smoothness : float
+        Factor of the stiffness; 0: every patch by itself.
+    stride_px : int
+        Distance between patches, px.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns]
+        In [0, L - 1].
+
+    References
+    ----------
+    Martinello 2012, section 8.3.2, eq. 8.22.
     """
-    last = own.shape[-1] - 1
+    last = frame_cost.shape[-1] - 1
     if last < 2 or not smoothness:
-        return refine_level(own, chosen)
+        return refine_level(frame_cost, chosen)
     middle = np.clip(chosen, 1, last - 1)
-    around = np.take_along_axis(own, middle[..., None] + np.arange(-1, 2), axis=-1)
+    around = np.take_along_axis(frame_cost, middle[..., None] + np.arange(-1, 2), axis=-1)
     best = middle + around.argmin(axis=-1) - 1
     curvature = around[..., 0] - 2 * around[..., 1] + around[..., 2]
     curvature = np.maximum(curvature, np.float32(_LEAST_CURVATURE))
     stiffness = smoothness * _STIFFNESS * (_AT_STRIDE_PX / stride_px) ** 2
-    matrix = _bending_beside(curvature, chosen, stiffness)
-    level = _least_bent(refine_level(own, best), curvature, matrix)
+    matrix = _quadratic_form(curvature, chosen, stiffness)
+    level = _minimum(refine_level(frame_cost, best), curvature, matrix)
     return np.clip(level, 0, last)
 
 
-def _bending_beside(
+def _quadratic_form(
     curvature: FloatArray, chosen: IndexArray, stiffness: float
 ) -> scipy.sparse.dia_matrix:
-    """Return the matrix of the quadratic form of costs and bends [patches, patches]."""
+    """Matrix of the quadratic form of costs and second differences [patches, patches]."""
     size, columns = chosen.size, chosen.shape[1]
-    # What couples each patch with the one so many places after it, in the order of memory.
+    # Coupling of each patch with the one at an offset in memory.
     couplings = {
         offset: np.zeros(chosen.shape, np.float32) for offset in (0, 1, 2, columns, 2 * columns)
     }
@@ -83,10 +100,10 @@ def _bending_beside(
     return scipy.sparse.dia_matrix((diagonals, offsets), shape=(size, size))
 
 
-def _least_bent(
+def _minimum(
     level: FloatArray, curvature: FloatArray, matrix: scipy.sparse.dia_matrix
 ) -> FloatArray:
-    """Minimise by conjugate gradients, preconditioned by the diagonal."""
+    """Level [rows, columns] that minimises the form, by preconditioned conjugate gradients."""
     found = level.ravel().copy()
     residual = curvature.ravel() * found - matrix @ found
     precision = 1 / matrix.diagonal()

@@ -73,10 +73,10 @@ class HypothesisTest:
         if guarded:
             own = own.with_others(beyond)
         elif beyond.psfs:
-            others["beyond"] = PsfHypotheses.of(beyond.psfs)
-        self._sizes_px, self._own = own.sizes_px, PsfHypotheses.of(own.psfs)
+            others["beyond"] = PsfHypotheses.from_psfs(beyond.psfs)
+        self._sizes_px, self._own = own.sizes_px, PsfHypotheses.from_psfs(own.psfs)
         groups = [others[name] for name in NAMES if name in others]
-        self._others = PsfHypotheses.joined(groups)
+        self._others = PsfHypotheses.concatenate(groups)
         self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
         self._present = np.flatnonzero([name in others for name in NAMES])
 
@@ -148,7 +148,7 @@ class HypothesisTest:
         With about the contrasts that explain windows best: others cost time, and tell nothing.
         """
         found = np.full((len(power), len(NAMES)), _ABSENT, np.float32)
-        each = negative_log_likelihood(power, self._others.about(contrast)).min(axis=1)
+        each = negative_log_likelihood(power, self._others.near_contrasts(contrast)).min(axis=1)
         best = np.minimum.reduceat(each, self._starts, axis=1)
         found[:, self._present] = 100 * (least[:, None] - best)
         return found

@@ -41,7 +41,7 @@ FITS = 0.5
 # do not fit. It is about as often right as it says, over frames that fit and others.
 _TRUSTED = 0.7
 WITHHELD = 0.2
-_BY_CHANCE = 0.2
+_CHANCE_CONFIDENCE = 0.2
 # What the network was trained for.
 LARGEST_PX = 22.5
 LIMIT = 20.0
@@ -57,13 +57,13 @@ _FAR_PX = 1.5
 _CONFIDENT = 0.55
 _SPARSE = 3
 # What is left out on either side of the middle, as shares of the frame.
-_AROUND_MIDDLE = 0.3
+_MARGIN_SHARE = 0.3
 # At most so many windows along a side at the first look, which is enough where confidence is left
 # as it is, and at the second.
 _CELLS = 5, 10
 # Of a video, one frame in so many is looked at, and counts by this share.
-_EVERY = 4
-_OF_NEW = 0.4
+_FRAME_INTERVAL = 4
+_NEW_FRAME_WEIGHT = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,12 +90,12 @@ class Health:
             return f"fits ({self.value:.2f})"
         return f"does not fit ({self.value:.2f}): {CAUSES[self.cause]}"
 
-    def trusted(self, confidence: FloatArray) -> FloatArray:
+    def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Return what is left of a confidence."""
         left = np.float32(np.clip((self.value - WITHHELD) / (_TRUSTED - WITHHELD), 0, 1))
         if left >= 1:
             return confidence
-        lowest = np.minimum(confidence, np.float32(_BY_CHANCE))
+        lowest = np.minimum(confidence, np.float32(_CHANCE_CONFIDENCE))
         return np.asarray(left * confidence + (1 - left) * lowest, np.float32)
 
 
@@ -151,71 +151,79 @@ class FitCheck:
         self._health: Health | None = None
 
     def __call__(
-        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+        self,
+        observation: Observation,
+        misfit: FloatArray,
+        level: FloatArray,
+        confidence: FloatArray,
     ) -> Health | None:
         """Return how well a frame fits; None if there is too little to see.
 
         Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
         pixel, and how sure that is.
         """
-        due = not self._remembers or self._frames % _EVERY == 0
+        due = not self._remembers or self._frames % _FRAME_INTERVAL == 0
         self._frames += 1
         if not due:
             return self._health
         outputs = None
-        for features in self.looks(seen, misfit, level, confidence):
+        for features in self.looks(observation, misfit, level, confidence):
             outputs = _outputs_of(features)
             if _health_of(outputs).value > _TRUSTED:
                 break
         if outputs is None:
             return self._health
         if self._remembers and self._outputs is not None:
-            outputs = self._outputs + np.float32(_OF_NEW) * (outputs - self._outputs)
+            outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         self._outputs, self._health = outputs, _health_of(outputs)
         return self._health
 
     def looks(
-        self, seen: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+        self,
+        observation: Observation,
+        misfit: FloatArray,
+        level: FloatArray,
+        confidence: FloatArray,
     ) -> Iterator[FloatArray]:
         """Yield what the network is told of a frame: of few windows, and, if asked, of more.
 
         Nothing if there is too little to see. Arguments are those of a call.
         """
-        grey, noise = seen.grey, max(seen.noise.typical, _LEAST_NOISE)
+        grey, noise = observation.grey, max(observation.noise.typical, _LEAST_NOISE)
         if noise < _CLEANEST:  # as no camera's frames are: simulated ones
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
-        known = seen.noise.sigma if seen.noise.highest is None else 0.0
-        of_file = traces(grey, noise, known)
+        known = observation.noise.sigma if observation.noise.highest is None else 0.0
+        of_file = frame_statistics(grey, noise, known)
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
         top, left = (
-            int(_AROUND_MIDDLE * length) if self._middle_only else 0 for length in grey.shape
+            int(_MARGIN_SHARE * length) if self._middle_only else 0 for length in grey.shape
         )
         part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
-        unusable = None if seen.unusable is None else seen.unusable[part]
+        unusable = None if observation.unusable is None else observation.unusable[part]
         for cells in _CELLS:
             windows = self._test.score(grey[part], noise, unusable, cells)
             if windows is not None:
                 at = windows.rows + top, windows.columns + left
                 windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
-                of_maps = self._of_maps(windows, seen, misfit, level, confidence)
+                of_maps = self._of_maps(windows, observation, misfit, level, confidence)
                 numbers = [*windows.features, *of_file, *of_maps, smaller]
                 yield np.nan_to_num(np.array(numbers, np.float32))
 
     def _of_maps(
         self,
         windows: Evidence,
-        seen: Observation,
+        observation: Observation,
         misfit: FloatArray,
         level: FloatArray,
         confidence: FloatArray,
     ) -> list[float]:
         """Return what was made of the windows by the estimate, for the network."""
-        telling = misfit[seen.usable] if seen.usable.any() else misfit
+        telling = misfit[observation.usable] if observation.usable.any() else misfit
         of_map = (
             centres * length // whole
             for centres, length, whole in zip(
-                (windows.rows, windows.columns), level.shape, seen.grey.shape, strict=True
+                (windows.rows, windows.columns), level.shape, observation.grey.shape, strict=True
             )
         )
         # What one window says by itself, and what became of it among its neighbours.
@@ -254,7 +262,7 @@ _BAND_PX = 48
 _BANDS = 3
 
 
-def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
+def frame_statistics(grey: FloatArray, noise: float, known: float) -> list[float]:
     """Return numbers about a frame [rows, columns] that do not depend on the mask.
 
     `noise` is the standard deviation that is reckoned with, `known` what was known of it
@@ -269,7 +277,7 @@ def traces(grey: FloatArray, noise: float, known: float) -> list[float]:
         *_values(grey),
         *_lines(grey, noise),
         _mosaic(grey),
-        _lonely(bands, noise),
+        _isolated_pixels(bands, noise),
     ]
 
 
@@ -347,7 +355,7 @@ def _mosaic(grey: FloatArray) -> float:
     return float(np.log(1e-4 + np.std(means) / max(np.mean(means), 1e-9)))
 
 
-def _lonely(bands: list[FloatArray], noise: float) -> float:
+def _isolated_pixels(bands: list[FloatArray], noise: float) -> float:
     """Return how many pixels are unlike all around them."""
     away = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
     return float(np.log(1e-5 + np.mean([np.count_nonzero(each) / each.size for each in away])))

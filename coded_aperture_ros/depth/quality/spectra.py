@@ -78,7 +78,7 @@ class PsfHypotheses:
     log_determinants: FloatArray  # [contrasts, P * slopes]; mean logarithm of the expected power
 
     @classmethod
-    def of(cls, psfs: Sequence[FloatArray]) -> "PsfHypotheses":
+    def from_psfs(cls, psfs: Sequence[FloatArray]) -> "PsfHypotheses":
         """Compute them for P PSFs."""
         share = frequencies().share
         expected = np.concatenate([_expected_power(psf) for psf in psfs])
@@ -87,14 +87,14 @@ class PsfHypotheses:
         return cls(weights, (np.log(power) @ share).astype(np.float32))
 
     @classmethod
-    def joined(cls, some: Sequence["PsfHypotheses"]) -> "PsfHypotheses":
+    def concatenate(cls, some: Sequence["PsfHypotheses"]) -> "PsfHypotheses":
         """Return those of all, one after the other."""
         weights = np.concatenate([each.weights for each in some], axis=1).swapaxes(1, 2)
         determinants = np.concatenate([each.log_determinants for each in some], axis=1)
         # Many are multiplied more quickly with frequencies first in memory.
         return cls(np.ascontiguousarray(weights).swapaxes(1, 2), determinants)
 
-    def about(self, contrasts: IndexArray) -> "PsfHypotheses":
+    def near_contrasts(self, contrasts: IndexArray) -> "PsfHypotheses":
         """Return those of some contrasts and their neighbours."""
         some = slice(max(int(contrasts.min()) - 1, 0), int(contrasts.max()) + 2)
         return PsfHypotheses(self.weights[some], self.log_determinants[some])
@@ -212,7 +212,7 @@ def alternatives(own: PsfLevels) -> dict[str, PsfHypotheses]:
         "mirror": [psf[:, ::-1] for psf in psfs],
         "rot45": [_turned(psf) for psf in psfs[::2]],
     }
-    found = {name: PsfHypotheses.of(psfs) for name, psfs in made.items() if psfs}
+    found = {name: PsfHypotheses.from_psfs(psfs) for name, psfs in made.items() if psfs}
     return found | {name: _other(name) for name in _OTHERS}
 
 
@@ -220,8 +220,8 @@ def alternatives(own: PsfLevels) -> dict[str, PsfHypotheses]:
 def _other(name: str) -> PsfHypotheses:
     if name == "sharp":
         rows = [cv2.getGaussianKernel(11, sigma) for sigma in _SHARP_PX]
-        return PsfHypotheses.of([row @ row.T for row in rows])
-    return PsfHypotheses.of(list(render_psf_stack(Mask.named(name), _SIZES_PX).psfs))
+        return PsfHypotheses.from_psfs([row @ row.T for row in rows])
+    return PsfHypotheses.from_psfs(list(render_psf_stack(Mask.named(name), _SIZES_PX).psfs))
 
 
 def _widths(psfs: FloatArray) -> DoubleArray:

@@ -24,5 +24,5 @@ class Metric(Stage):
 
     def __call__(self, work: Work) -> None:
         """Look up what the levels mean."""
-        found = self.levels.meaning(work.level, work.deviation, work.unknown)
+        found = self.levels.metric_maps(work.level, work.deviation, work.unknown)
         work.level, work.blur_size_px, work.depth_m, work.std_dev_m = found

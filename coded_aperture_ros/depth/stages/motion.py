@@ -36,7 +36,7 @@ class Motion(Stage):
         motion = work.frame_cost.motion
         if motion is None:
             return
-        seen = work.observation
-        at = MapGrid.of(seen.grid, seen.grey.shape, work.size)
-        work.add_layer(MOTION, at.nearest(motion.vectors_px), motion.search_reason)
-        work.add_layer(MOTION_CONFIDENCE, at.nearest(motion.confidence))
+        observation = work.observation
+        at = MapGrid.for_map(observation.grid, observation.grey.shape, work.size)
+        work.add_layer(MOTION, at.nearest_patch_values(motion.vectors_px), motion.search_reason)
+        work.add_layer(MOTION_CONFIDENCE, at.nearest_patch_values(motion.confidence))

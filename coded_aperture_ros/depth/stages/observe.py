@@ -63,7 +63,7 @@ class Observe(Stage):
         frame = work.frame
         grey, unusable = grey_image(frame.light, self.saturation)
         least_noise = max(self.least_noise, frame.compression_noise)
-        work.observation = Observation.of(
+        work.observation = Observation.from_grey(
             grey, unusable, self.plan.grid, self.plan.known_noise, frame.channels, least_noise
         )
         work.grey = grey

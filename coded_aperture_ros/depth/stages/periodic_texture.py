@@ -44,16 +44,16 @@ class PeriodicTexture(Stage):
         """Compare the level that was found with what periodic texture says."""
         if work.frame_cost.periodic is None:
             return
-        seen, at = work.observation, work.map_grid
+        observation, at = work.observation, work.map_grid
         periodic = may_be_periodic(
             work.frame_cost,
-            seen.usable,
-            at.at_patches(work.level),
+            observation.usable,
+            at.values_at_patches(work.level),
             self.levels.blur_sizes_px,
-            seen.grid,
+            observation.grid,
         )
         if periodic.any():
-            found = at.nearest(periodic)
+            found = at.nearest_patch_values(periodic)
             lowered = np.minimum(work.confidence, CHANCE_CONFIDENCE)
             work.confidence = np.where(found, lowered, work.confidence)
             work.doubted |= found

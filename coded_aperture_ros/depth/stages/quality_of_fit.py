@@ -61,7 +61,7 @@ class QualityOfFit(Stage):
                 health = own
         work.health = health
         if health is not None:
-            work.confidence = health.trusted(work.confidence)
+            work.confidence = health.limit_confidence(work.confidence)
             work.doubted |= not health.fits
 
     def reset(self) -> None:

@@ -78,11 +78,11 @@ class FindSecondSurface(Stage):
     ) -> tuple[FloatArray, FloatArray]:
         """Level and share of the second surface [rows, columns]; NaN without one."""
         pair = network(decoded.logits, decoded.features[COST_CHANNELS:])
-        pair = pair.mapped(decoded.drawing.upsample_nearest)
+        pair = pair.map_values(decoded.drawing.upsample_nearest)
         signed_px = self.levels.blur_sizes_px
         sizes_px = np.abs(signed_px)
         first_px = np.interp(decoded.level, np.arange(len(sizes_px)), sizes_px)
-        size_px, share = pair.beside(as_floats(first_px))
+        size_px, share = pair.other_surface(as_floats(first_px))
         beyond_px = np.abs(np.clip(size_px, sizes_px.min(), sizes_px.max()) - size_px)
         level = decoded.scale.level(-size_px if signed_px.mean() < 0 else size_px)
         unknown = decoded.unusable | decoded.blank | (beyond_px > BLUR_STEP_PX)

@@ -30,20 +30,22 @@ class StaticAveraging(Stage):
 
     def __call__(self, work: Work) -> None:
         """Put the mean of the frames so far in the place of the frame."""
-        seen = work.observation
-        work.grey, work.averaged_frames = self._before.add(seen.grey, seen.noise.least)
+        observation = work.observation
+        work.grey, work.averaged_frames = self._before.add(
+            observation.grey, observation.noise.least
+        )
 
     def both_ways(self, block: Block) -> None:
         """Put the mean of the frames before and after each in its place."""
         for work in block.works[len(block.works) - block.new :]:
-            seen = work.observation
-            mean, count = self._before.add(seen.grey, seen.noise.least)
+            observation = work.observation
+            mean, count = self._before.add(observation.grey, observation.noise.least)
             self._waiting.append((mean.copy(), count))
         after = StaticAverage(self._most_frames)
         for work, before in zip(reversed(block.works), reversed(self._waiting), strict=True):
-            seen = work.observation
-            backward = after.add(seen.grey, seen.noise.least)
-            work.grey, work.averaged_frames = join_averages(before, backward, seen.grey)
+            observation = work.observation
+            backward = after.add(observation.grey, observation.noise.least)
+            work.grey, work.averaged_frames = join_averages(before, backward, observation.grey)
         self._waiting = self._waiting[block.finished :]
 
     def reset(self) -> None:

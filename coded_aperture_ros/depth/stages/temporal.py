@@ -66,9 +66,9 @@ class Temporal(Stage):
 
     def __call__(self, work: Work) -> None:
         """Add up the cost of the frame, or of the mean of frames alike, and those before."""
-        seen = work.observation
+        observation = work.observation
         work.fused_cost = self._filter.add(
-            work.frame_cost.volume, work.grey, seen.grid, seen.noise.least
+            work.frame_cost.volume, work.grey, observation.grid, observation.noise.least
         )
 
     def both_ways(self, block: Block) -> None:
@@ -87,8 +87,10 @@ class Temporal(Stage):
 
 
 def _add(costs: "TemporalFilter", work: Work) -> FloatArray:
-    seen = work.observation
-    return costs.add(work.frame_cost.volume, seen.grey, seen.grid, seen.noise.least)
+    observation = work.observation
+    return costs.add(
+        work.frame_cost.volume, observation.grey, observation.grid, observation.noise.least
+    )
 
 
 class TemporalFilter:

@@ -35,7 +35,9 @@ class Cells:
         left, columns = _axis(int(grid.column_centres[0]), width)
         return cls(top, left, rows, columns, (height, width), grid)
 
-    def of_patches(self, values: FloatArray, grid: PatchGrid) -> tuple[FloatArray, FloatArray]:
+    def resample_patches(
+        self, values: FloatArray, grid: PatchGrid
+    ) -> tuple[FloatArray, FloatArray]:
         """Return patches' values at the cells, and where there are any.
 
         Takes those of a grid, float32 [..., grid rows, grid columns]. Returns [..., rows, columns],
@@ -60,7 +62,7 @@ class Cells:
         known[rows, columns] = 1
         return at_cells, known
 
-    def of_frame(self, picture: FloatArray) -> FloatArray:
+    def pad_frame(self, picture: FloatArray) -> FloatArray:
         """Return a picture [height, width] cut and mirrored to the cells' outline."""
         height, width = self.frame_shape
         bottom = self.top + self.rows * CELL_PX - height

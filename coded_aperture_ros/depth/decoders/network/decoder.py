@@ -57,7 +57,7 @@ class SizeScale:
     tolerance_px: FloatArray
 
     @classmethod
-    def of(cls, levels: Levels) -> "SizeScale":
+    def from_levels(cls, levels: Levels) -> "SizeScale":
         """Scale of a model's levels."""
         return cls(levels, np.argsort(levels.blur_sizes_px), _tolerance_px(levels))
 
@@ -107,7 +107,9 @@ class NetworkDecoded:
         """See `Decoded.nearest_around`; the nearest level where nothing was seen."""
         error = max(0.5, BLUR_STEP_PX / 2 * float(self.scale.levels_per_px))
         level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
-        level = near_ends(level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px)
+        level = nearest_level_around(
+            level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px
+        )
         # Linear everywhere: what lies between two cells is not beyond what either says alone.
         found = self.drawing.render_map(level)
         return np.where(self.unusable | self.blank, self._nearest, found)
@@ -145,8 +147,8 @@ class NetworkDecoder:
         self._workers = workers or Workers()
         self._small = small
         self._sides = sides
-        self._scale = SizeScale.of(levels)
-        self._folding = Folding.of(levels.blur_sizes_px)
+        self._scale = SizeScale.from_levels(levels)
+        self._folding = Folding.from_sizes(levels.blur_sizes_px)
         self.tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[self.tried].astype(np.float32)
         self._network = Network(self.tried, self._workers, runtime)
@@ -177,8 +179,8 @@ class NetworkDecoder:
         blank = bool(volume.max() <= _ALIKE)
         if blank:
             confidence_map[:] = 0
-        at = MapGrid.of(observation.grid, observation.grey.shape, size)
-        unusable = at.nearest(~observation.usable)
+        at = MapGrid.for_map(observation.grid, observation.grey.shape, size)
+        unusable = at.nearest_patch_values(~observation.usable)
         confidence_map[unusable] = 0
         return NetworkDecoded(
             level=drawing.render_map(level, one_surface),
@@ -195,7 +197,7 @@ class NetworkDecoder:
             drawing=drawing,
             blank=blank,
             unusable=unusable,
-            blind=at.nearest(~observation.usable & (volume.max(axis=-1) <= _ALIKE)),
+            blind=at.nearest_patch_values(~observation.usable & (volume.max(axis=-1) <= _ALIKE)),
         )
 
     def _run(
@@ -208,7 +210,7 @@ class NetworkDecoder:
     ) -> tuple[FloatArray, Logits]:
         """Features of all cells, and what the network says of them."""
         scales = (
-            PatchScale.of(frame_cost, observation.grid, self._folding.of_sizes(volume)),
+            PatchScale.of(frame_cost, observation.grid, self._folding.fold_volume(volume)),
             PatchScale.of(small_cost, self._small),
         )
         context = LocalContext.of(observation.grey, observation.noise.typical)
@@ -233,7 +235,7 @@ class NetworkDecoder:
         if self._sides is not None:
             side_confidence = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
-            possible *= np.where(self._sides.agree(level), 1, side_confidence)
+            possible *= np.where(self._sides.is_ambiguous(level), 1, side_confidence)
         probability = found.right_within(tolerance_px)
         calibration = self._network.calibration
         confidence = possible * calibration.confidence(probability, found.size_px, tolerance_px)
@@ -269,7 +271,7 @@ class NetworkDecoder:
         return probability[np.ix_(*nearest)]
 
 
-def near_ends(
+def nearest_level_around(
     level: FloatArray, levels: Levels, error: float, cell_px: float, pixel_px: float
 ) -> FloatArray:
     """Near end, by an error in levels, of the nearest level around every cell [rows, columns].

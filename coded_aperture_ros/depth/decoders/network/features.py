@@ -131,15 +131,15 @@ def cost_features(
         np.log(found, out=found)
         found[1] *= np.float32(1 / 3)
         values = (to_sizes @ found).reshape(KINDS, -1, *scale.misfit.shape)
-        of_kinds[index, :, start:stop] = cells.of_patches(values, scale.grid)[0]
-        features[COST_CHANNELS + index], known = cells.of_patches(scale.misfit, scale.grid)
+        of_kinds[index, :, start:stop] = cells.resample_patches(values, scale.grid)[0]
+        features[COST_CHANNELS + index], known = cells.resample_patches(scale.misfit, scale.grid)
         if index == 0:
             features[COST_CHANNELS + N_SCALES] = known
 
     (workers or Workers()).each(add_scale, range(N_SCALES))
     shape = cells.columns, cells.rows
     mean, variance = (
-        cv2.resize(cells.of_frame(part), shape, interpolation=cv2.INTER_AREA)
+        cv2.resize(cells.pad_frame(part), shape, interpolation=cv2.INTER_AREA)
         for part in (context.mean, context.variance)
     )
     rest = features[COST_CHANNELS + N_SCALES + 1 :]
@@ -155,7 +155,7 @@ def frame_features(context: LocalContext, cells: Cells) -> FloatArray:
     The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
     """
     spread = np.sqrt(context.variance + np.float32(4 * context.noise**2))
-    whole = cells.of_frame((context.grey - context.mean) / spread)
+    whole = cells.pad_frame((context.grey - context.mean) / spread)
     side = FRAME_CELL_PX
     rows, columns = (length // side for length in whole.shape)
     squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)

@@ -1,4 +1,4 @@
-"""Runs the network that ships with the package."""
+"""Refinement network: inference with the weights that ship with the package."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -39,11 +39,11 @@ def _put_plain(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> 
 
 # Puts some channels [n] of cells [channels, rows, columns], those of 2 x 2 cells side by side, into
 # squares [n, 4, rows / 2, columns / 2].
-put_in_squares = Compiled(_put_loop, _put_plain)
+gather_squares = Compiled(_put_loop, _put_plain)
 
 
-def at_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
-    """Put groups of four channels side by side: [4 n, rows, columns] to [n, 2 rows, 2 columns]."""
+def to_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
+    """Half-cells [n, 2 rows, 2 columns] from the channels of cells [4 n, rows, columns]."""
     count, rows, columns = of_cells.shape
     whole = np.empty((count // 4, 2 * rows, 2 * columns), of_cells.dtype)
     for quarter in range(4):
@@ -82,9 +82,9 @@ def _add_up_plain(
     end = first + cells.shape[1]
     around = np.clip(np.arange(first - 1, end + 1), 0, costs.shape[1] - 1)
     for b, cost in enumerate(costs):
-        of_cells = cells[4 * b : 4 * b + 4] + at_half_cells(squares[b, :16, first // 2 : end // 2])
+        of_cells = cells[4 * b : 4 * b + 4] + to_half_cells(squares[b, :16, first // 2 : end // 2])
         less = cv2.resize(cost[around], None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-        size[b, 2 * first : 2 * end] = at_half_cells(of_cells)[0] - less[2:-2]
+        size[b, 2 * first : 2 * end] = to_half_cells(of_cells)[0] - less[2:-2]
 
 
 # Writes logits of the half-cells [>= n, 2 rows, 2 columns] of some rows of cells, from an even one
@@ -106,7 +106,7 @@ SCHEMA_VERSION = 3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Logits:
-    """What the network says of every half-cell; float32."""
+    """Output of the network for every half-cell; float32."""
 
     size: FloatArray  # [tried, rows, columns]; logits of the blur sizes that were tried
     # [rows, columns]; logarithm of the mean error in px, if the likeliest blur size is about right.
@@ -114,17 +114,23 @@ class Logits:
     # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
     # its blur size; row by row, 4 is itself.
     neighbour: NDArray[np.uint8]
-    cells: FloatArray  # [channels, rows, columns]; what the last layer is given of every cell
+    cells: FloatArray  # [channels, rows, columns]; input of the last layer, of every cell
 
 
 class Network:
-    """Costs and frame in, logits out; see `training/refinement_network.py` for its layers.
+    """Refinement network: logits of the half-cells' blur sizes from costs and frame.
 
-    A `runtime`, see `network_of`, runs all but the first layer of the blur sizes (see `_First`) and
-    the last layer, of which only the rows are computed that are needed.
+    A runtime runs all but the first layer of the blur sizes (see `_FirstLayer`) and the last layer,
+    of which only the rows are computed that are needed. Not for several threads at once.
 
-    Not for several threads at once; `workers` share its work. `tried` [blur sizes] says which of
-    `BLUR_SIZES_PX`, neighbours of each other, there are costs of.
+    Parameters
+    ----------
+    tried : ndarray, bool [blur sizes]
+        Which of `BLUR_SIZES_PX`, neighbours of each other, have costs.
+    workers : Workers
+        Threads that share the work.
+    runtime : str
+        See `network_of`.
     """
 
     def __init__(self, tried: BoolArray, workers: Workers, runtime: str = "auto") -> None:
@@ -143,42 +149,42 @@ class Network:
         self._tried = slice(int(first), int(last) + 1)
         self._trust = as_floats(arrays["trust"])
         self.calibration = Calibration.from_weights(arrays)
-        self._first = _First.of(arrays, self._tried)
+        self._first = _FirstLayer.from_weights(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
-        """Return the logits of half-cells, from `cost_features` and `frame_features`."""
+        """Logits of the half-cells, from `cost_features` and `frame_features`."""
         tried, shape = self._tried, costs.shape[1:]
         # Logits of the half-cells of all squares, and one more channel for the other part.
         of_level = self.of_level({"levels": self._first(costs, self._workers)})
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
-        levels[0, tried] = at_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
+        levels[0, tried] = to_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
         cells = self.of_cells({"costs": costs[None], "frame": frame[None], "levels": levels})[0]
-        # What the costs say by themselves, to which the network adds.
+        # Logits by the costs alone, to which the network adds.
         of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)[:, tried]
-        own = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)
+        cost_logits = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)
         count = len(of_level)
         size = np.empty((count + 1, 2 * shape[0], 2 * shape[1]), np.float32)
         neighbour = np.empty((4, *size.shape[1:]), np.uint8)
 
         def last_layer(first: int, _: int) -> None:
             some = cells[:, first : first + _ROWS]
-            found = self._weights @ some.reshape(len(some), -1)
-            found += self._bias[:, None]
-            found = found.reshape(-1, *some.shape[1:])
-            of_sizes, of_choices = np.split(found, [4 * (count + 1)])
-            add_up(of_sizes, of_level, own, first, size)
-            of_rows = np.s_[:, 2 * first : 2 * (first + _ROWS)]
-            size[count:][of_rows] = at_half_cells(of_sizes[-4:])
-            choice = _likeliest(of_choices.reshape(4, NEIGHBOURS, 4, *some.shape[1:]))
-            neighbour[of_rows] = at_half_cells(choice.reshape(-1, *some.shape[1:]))
+            outputs = self._weights @ some.reshape(len(some), -1)
+            outputs += self._bias[:, None]
+            outputs = outputs.reshape(-1, *some.shape[1:])
+            size_channels, choice_channels = np.split(outputs, [4 * (count + 1)])
+            add_up(size_channels, of_level, cost_logits, first, size)
+            half_rows = np.s_[:, 2 * first : 2 * (first + _ROWS)]
+            size[count:][half_rows] = to_half_cells(size_channels[-4:])
+            choice = _likeliest(choice_channels.reshape(4, NEIGHBOURS, 4, *some.shape[1:]))
+            neighbour[half_rows] = to_half_cells(choice.reshape(-1, *some.shape[1:]))
 
         self._workers.each(last_layer, range(0, shape[0], _ROWS))
         return Logits(size[:count], size[count], neighbour, cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _First:
-    """The first layer of what is done to every blur size, in squares of 2 x 2 cells."""
+class _FirstLayer:
+    """First layer of the network for every blur size, on squares of 2 x 2 cells."""
 
     channels: IndexArray  # [tried, n]; of the costs of each blur size, and of its two neighbours
     weights: FloatArray  # [out, 4 n]; of these
@@ -186,7 +192,8 @@ class _First:
     added: FloatArray  # [tried, out, 1]; what is added to every blur size
 
     @classmethod
-    def of(cls, arrays: dict[str, FloatArray], tried: slice) -> "_First":
+    def from_weights(cls, arrays: dict[str, FloatArray], tried: slice) -> "_FirstLayer":
+        """Layer of the tried blur sizes, from the arrays of a weights' file."""
         weights, count = arrays["first_weights"], len(BLUR_SIZES_PX)
         weights, scalars, size = np.split(weights, -4 * np.array([SCALARS + 1, 1]), axis=1)
         of_size = BLUR_SIZES_PX[tried, None] / 10 * size.sum(axis=1) + arrays["first_bias"]
@@ -196,28 +203,28 @@ class _First:
         return cls(channels, *map(as_floats, (weights, scalars, of_size[..., None])))
 
     def __call__(self, costs: FloatArray, workers: Workers) -> FloatArray:
-        """Return the layer [tried, out, square rows, square columns] of `cost_features`."""
+        """Output of the layer [tried, out, square rows, square columns] for `cost_features`."""
         rows, columns = costs.shape[1] // 2, costs.shape[2] // 2
         of_scalars = np.empty((SCALARS, 4, rows, columns), np.float32)
-        put_in_squares(costs, np.arange(COST_CHANNELS, len(costs)), of_scalars)
+        gather_squares(costs, np.arange(COST_CHANNELS, len(costs)), of_scalars)
         rest = self.scalars @ of_scalars.reshape(4 * SCALARS, -1)
-        found = np.empty((len(self.channels), *rest.shape), np.float32)
+        outputs = np.empty((len(self.channels), *rest.shape), np.float32)
 
-        def of_sizes(first: int, _: int) -> None:
+        def add_sizes(first: int, _: int) -> None:
             some = slice(first, first + _SIZES)
-            channels, layer = self.channels[some], found[some]
+            channels, layer = self.channels[some], outputs[some]
             squares = np.empty((channels.size, 4, rows, columns), np.float32)
-            put_in_squares(costs, channels.ravel(), squares)
+            gather_squares(costs, channels.ravel(), squares)
             np.matmul(self.weights, squares.reshape(len(layer), -1, rows * columns), out=layer)
             layer += rest
             layer += self.added[some]
 
-        workers.each(of_sizes, range(0, len(found), _SIZES))
-        return found.reshape(*found.shape[:2], rows, columns)
+        workers.each(add_sizes, range(0, len(outputs), _SIZES))
+        return outputs.reshape(*outputs.shape[:2], rows, columns)
 
 
 def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
-    """Return which along the second axis is the largest; `argmax` takes four times as long."""
+    """Index of the largest along the second axis; `argmax` takes four times as long."""
     best = logits[:, 0].copy()
     which = np.zeros(best.shape, np.uint8)
     for index in range(1, logits.shape[1]):
@@ -227,19 +234,19 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
     return which
 
 
-# Of weights' files that state none: fitted for the weights of the time.
+# For weights' files without a calibration: fitted for the weights of the time.
 _FORMER_COEFFICIENTS = (-0.58, 1.45, 0.071, -0.5)
 _FORMER_DEVIATION = 0.78
-# Probabilities are taken as at least so far from 0 and 1: their logarithm must be finite.
+# Least distance of probabilities from 0 and 1: the logarithm must be finite.
 _SURE = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Calibration:
-    """What makes a confidence and a standard deviation of the network's probabilities.
+    """Calibration of confidence and standard deviation from the network's probabilities.
 
     Fitted on random scenes kept apart, by `training/train.py refinement calibrate`. The network
-    doubts wide blur too much, and too little what may be wrong by many pixels.
+    is underconfident for wide blur, and overconfident where the error may be many pixels.
 
     Attributes
     ----------
@@ -277,10 +284,10 @@ class Calibration:
         size_px, tolerance_px : ndarray, float32
             Blur size, and its largest error of a right depth.
         """
-        offset, of_odds, of_size, of_tolerance = self.coefficients
-        odds = log_odds(probability)
-        found = offset + of_odds * odds + of_size * size_px + of_tolerance * np.log(tolerance_px)
-        return np.asarray(1 / (1 + np.exp(-found)), np.float32)
+        offset, odds_factor, size_factor, tolerance_factor = self.coefficients
+        odds = offset + odds_factor * log_odds(probability) + size_factor * size_px
+        odds += tolerance_factor * np.log(tolerance_px)
+        return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
 
 
 def log_odds(probability: FloatArray) -> FloatArray:

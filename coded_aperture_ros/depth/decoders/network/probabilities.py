@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_cells
+from coded_aperture_ros.depth.decoders.network.network import Logits, to_half_cells
 
 # The blur size is the mean over so many bins on either side of the likeliest.
 REACH = 2
@@ -101,4 +101,4 @@ def chosen_neighbours(neighbour: NDArray[np.uint8]) -> IndexArray:
     _, rows, columns = neighbour.shape
     corner = np.add.outer((columns + 2) * np.arange(rows), np.arange(columns))
     beyond = np.add.outer((columns + 2) * np.arange(3), np.arange(3)).ravel()
-    return np.asarray(at_half_cells(corner + beyond[neighbour])[0])
+    return np.asarray(to_half_cells(corner + beyond[neighbour])[0])

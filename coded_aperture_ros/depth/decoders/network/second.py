@@ -9,7 +9,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.decoders.network.network import Logits, at_half_cells
+from coded_aperture_ros.depth.decoders.network.network import Logits, to_half_cells
 
 WEIGHTS = "second.npz"
 SCHEMA = "coded-aperture second surface network"
@@ -33,7 +33,7 @@ class Pair:
     share: FloatArray  # of the window, 0 to 1, that the less blurred one takes
     least_odds: float = LEAST_ODDS  # above which there are two
 
-    def mapped(self, draw: Callable[[FloatArray], FloatArray]) -> "Pair":
+    def map_values(self, draw: Callable[[FloatArray], FloatArray]) -> "Pair":
         """Return what a function makes of each map."""
         return dataclasses.replace(
             self,
@@ -43,7 +43,7 @@ class Pair:
             share=draw(self.share),
         )
 
-    def beside(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def other_surface(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return blur size and share of the surface beside one of these sizes; NaN without one."""
         is_less = np.abs(size_px - self.less_px) < np.abs(size_px - self.more_px)
         found_px = np.where(is_less, self.more_px, self.less_px)
@@ -71,7 +71,7 @@ class SecondSurface:
         """Return the pairs, from logits and the last of `cost_features` [n, rows, columns]."""
         shown = np.concatenate([*in_cells(logits.size, self._tried), scalars, logits.cells])
         told = self._network({"shown": shown[None]})[0]
-        told = at_half_cells(told)  # of squares of 16 px
+        told = to_half_cells(told)  # of squares of 16 px
         less, more, (odds, share) = np.split(told, len(BLUR_SIZES_PX) * np.arange(1, 3))
         return Pair(
             odds,

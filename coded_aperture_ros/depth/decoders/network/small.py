@@ -24,7 +24,7 @@ def small_bank(bank: FilterBank) -> FilterBank:
     It is learned once for a bank.
     """
     if bank not in _LEARNED:
-        _LEARNED[bank] = relearn_bank(bank, SMALL_PX, Folding.of(bank.blur_sizes_px).far)
+        _LEARNED[bank] = relearn_bank(bank, SMALL_PX, Folding.from_sizes(bank.blur_sizes_px).far)
     return _LEARNED[bank]
 
 
