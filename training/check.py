@@ -129,7 +129,7 @@ def _score(outputs: np.ndarray, rows: Arrays) -> dict[str, Any]:
     `false_alarms`: share of the fitting frames that are said not to fit; `wrong`: share of the
     others whose depth is wrong, before and after the check; `cause`: how often it is right.
     """
-    alarmed = outputs[:, 0] < np.log(package.FITS / (1 - package.FITS))
+    alarmed = outputs[:, 0] < np.log(package.FIT_THRESHOLD / (1 - package.FIT_THRESHOLD))
     fits = rows["cause"] < 0
     wrong = ~fits & (excess_error(rows) > 0.1) & (rows["coverage"] > 0.2)
     right_cause = outputs[:, 1:].argmax(1) == rows["cause"]

@@ -155,10 +155,13 @@ def network_inputs(
         volume = bounded_cost(volume) * np.float32(how.added_up)
     small = banks.small.plan(frame.shape, CELL_PX)
     of_small = small_cost(small, observed, observed.grey, observed.noise.deviation)
-    scales = PatchScale.of(cost, observed.grid, volume), PatchScale.of(of_small, small.grid)
+    scales = (
+        PatchScale.from_cost(cost, observed.grid, volume),
+        PatchScale.from_cost(of_small, small.grid),
+    )
     small.close()
     cells = Cells.covering(frame.shape, observed.grid)
-    around = LocalContext.of(observed.grey, observed.noise.typical)
+    around = LocalContext.from_frame(observed.grey, observed.noise.typical)
     sizes = banks.bank.blur_sizes_px * how.scale
     near = {"far": 0.0, "near": 1.0, "both": 0.5}[scene.side]
     truth = observed.grid.centre_values(true_px)

@@ -289,7 +289,7 @@ def _features(
     estimator.close()
     size_px, confidence = estimate.blur_size_px, estimate.confidence
     misfit = work.frame_cost.misfit
-    looks = levels.check.looks(work.observation, misfit, estimate.level, confidence)
+    looks = levels.check.features(work.observation, misfit, estimate.level, confidence)
     *_, features = [None, *looks]
     if features is None:
         return None

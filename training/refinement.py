@@ -206,8 +206,8 @@ class RefinementTask(Task):
         frames = load_frames(options.folder, options.shards[:_QUANTISED_SHARDS])
         for frame in frames[::_QUANTISED_EVERY]:
             network = package.Network(frame.tried, Workers(), "opencv")
-            network.of_level = recording(network.of_level, inputs["levels"])
-            network.of_cells = recording(network.of_cells, inputs["cells"])
+            network.level_network = recording(network.level_network, inputs["levels"])
+            network.cell_network = recording(network.cell_network, inputs["cells"])
             frame.run(network)
         return inputs
 
@@ -326,7 +326,7 @@ def frame_errors(frame: Frame) -> Arrays:
     `error`, and its `deviation` without calibration.
     """
     logits = frame.run(package.Network(frame.tried, Workers()))
-    found = HalfCells.of(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
+    found = HalfCells.from_logits(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
     truth = frame.true_blur_px()[2::4, 2::4]
     tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
     arrays = {

@@ -11,7 +11,7 @@ from shards import Arrays, Data, stack
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.features import COST_CHANNELS
 from coded_aperture_ros.depth.decoders.network.network import Network
-from coded_aperture_ros.depth.decoders.network.second import in_cells
+from coded_aperture_ros.depth.decoders.network.second import cell_probabilities
 
 
 def _windows(scenes: Arrays, costs: Arrays, index: int) -> Arrays:
@@ -32,7 +32,7 @@ def _windows(scenes: Arrays, costs: Arrays, index: int) -> Arrays:
     # Of the refinement as the package has it.
     network = Network(tried, Workers(), "opencv")
     logits = network(given, costs["frame"][index].astype(np.float32))
-    shown = [*in_cells(logits.size, tried), given[COST_CHANNELS:], logits.cells]
+    shown = [*cell_probabilities(logits.size, tried), given[COST_CHANNELS:], logits.cells]
     windows = surfaces(found)
     return {
         "shown": np.concatenate(shown).astype(np.float16),

@@ -16,11 +16,11 @@ from coded_aperture_ros.depth.quality.spectra import (
     WINDOW_PX,
     PsfHypotheses,
     alternatives,
+    bank_levels,
     frequencies,
     levels_beyond,
     negative_log_likelihood,
-    own_levels,
-    powers,
+    power_spectra,
     quantiles,
 )
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
@@ -87,7 +87,7 @@ def test_a_hypothesis_explains_its_own_texture_best(stack):
         image = cv2.filter2D(textures, -1, stack.psfs[level])[60:-60, 60:-60]
         image = (image / image.std() + 1e-3 * random.standard_normal(image.shape)).astype("f4")
         windows = np.lib.stride_tricks.sliding_window_view(image, (WINDOW_PX,) * 2)[::60, ::60]
-        power = powers(windows.reshape(-1, WINDOW_PX, WINDOW_PX)) / 1e-6
+        power = power_spectra(windows.reshape(-1, WINDOW_PX, WINDOW_PX)) / 1e-6
         found = negative_log_likelihood(power.astype(np.float32), hypotheses).min(axis=1)
         chosen = found.argmin(axis=1) // len(SLOPES)
         assert (chosen == number).mean() > 0.9
@@ -96,14 +96,14 @@ def test_a_hypothesis_explains_its_own_texture_best(stack):
 def test_powers_of_white_noise_are_its_variance():
     random = np.random.default_rng(0)
     windows = 0.3 * random.standard_normal((200, WINDOW_PX, WINDOW_PX)).astype(np.float32)
-    assert powers(windows).mean() == pytest.approx(0.09, rel=0.02)
+    assert power_spectra(windows).mean() == pytest.approx(0.09, rel=0.02)
 
 
 def test_alternatives_are_known_by_their_names(stack):
-    found = alternatives(own_levels(stack))
+    found = alternatives(bank_levels(stack))
     assert set(found) <= set(NAMES)
     assert {"disc", "sharp", "rot45", "inverted"} <= set(found)
-    assert levels_beyond(own_levels(stack)).psfs
+    assert levels_beyond(bank_levels(stack)).psfs
     share = frequencies().share
     for hypotheses in found.values():
         assert hypotheses.weights.shape[2] == len(share)
@@ -113,7 +113,7 @@ def test_alternatives_are_known_by_their_names(stack):
 
 def test_a_bank_with_all_sizes_has_none_beyond():
     sizes_px = np.arange(1.5, 22.4, 1.0)
-    assert not levels_beyond(own_levels(render_psf_stack(Mask.named("zhou"), sizes_px))).psfs
+    assert not levels_beyond(bank_levels(render_psf_stack(Mask.named("zhou"), sizes_px))).psfs
 
 
 def test_evidence_is_of_textured_windows_without_unusable_pixels(stack, scene):

@@ -131,7 +131,7 @@ def test_costs_are_put_on_the_grid_of_blur_sizes(sign, order):
     folding = Folding.from_sizes(sizes)
     looks = [PatchScale(folding.fold_volume(volume), misfit, grid)] * 2
     near = float(sign < 0)
-    around = LocalContext.of(grey, 0.001)
+    around = LocalContext.from_frame(grey, 0.001)
     features = cost_features(looks, around, cells, folding.sizes_px, near)
     row, column = cells.rows // 2, cells.columns // 2
     tried = tried_sizes(folding.sizes_px)
@@ -186,7 +186,7 @@ def test_blur_size_is_the_mean_around_the_likeliest():
     sizes = np.arange(2, 12, 0.5, dtype=np.float32)
     probability = np.zeros(len(sizes))
     probability[[4, 5, 15]] = 0.3, 0.4, 0.3
-    found = HalfCells.of(_logits(probability), sizes)
+    found = HalfCells.from_logits(_logits(probability), sizes)
     assert found.size_px == pytest.approx((0.3 * 4.0 + 0.4 * 4.5) / 0.7, abs=1e-4)
     assert found.about == pytest.approx(0.7, abs=1e-4)
     width = float(found.width_px[0, 0])
@@ -198,11 +198,11 @@ def test_blur_size_is_the_mean_around_the_likeliest():
 
 def test_deviation_holds_two_thirds_of_the_errors():
     sizes = np.arange(2, 12, 0.5, dtype=np.float32)
-    sure = HalfCells.of(_logits(np.eye(20)[6]), sizes)
+    sure = HalfCells.from_logits(_logits(np.eye(20)[6]), sizes)
     random = np.random.default_rng(0)
     errors = random.laplace(0, float(sure.width_px[0, 0]), 20_000)
     assert np.mean(np.abs(errors) <= sure.deviation_px()) == pytest.approx(0.68, abs=0.02)
-    torn = HalfCells.of(_logits(0.5 * np.eye(20)[2] + 0.5 * np.eye(20)[18]), sizes)
+    torn = HalfCells.from_logits(_logits(0.5 * np.eye(20)[2] + 0.5 * np.eye(20)[18]), sizes)
     assert torn.deviation_px() > 5  # the other is 8 px away
 
 
@@ -405,7 +405,7 @@ def test_network_runs_frames_of_any_size():
         grey = random.random(shape, dtype=np.float32)
         flat = volume[..., 0]
         looks = [PatchScale(volume, flat, grid)] * 2
-        around = LocalContext.of(grey, 0.01)
+        around = LocalContext.from_frame(grey, 0.01)
         costs = cost_features(looks, around, cells, np.linspace(2, 8, 9), 0.0)
         logits = network(costs, frame_features(around, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)

@@ -6,7 +6,11 @@ import pytest
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
 from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.decoders.network.second import LEAST_ODDS, Pair, in_cells
+from coded_aperture_ros.depth.decoders.network.second import (
+    LEAST_ODDS,
+    SurfacePair,
+    cell_probabilities,
+)
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
@@ -16,7 +20,7 @@ def test_the_one_beside_is_the_one_that_is_not_there():
     odds = np.float32([[LEAST_ODDS + 1, LEAST_ODDS - 0.01]])
     less, more, share = (np.full((1, 2), value, np.float32) for value in (3.0, 9.0, 0.2))
     at_net, at_wall = np.float32([[3.4] * 4] * 2), np.float32([[8.0] * 4] * 2)
-    pair = Pair(odds, less, more, share)
+    pair = SurfacePair(odds, less, more, share)
     pair = pair.map_values(lambda part: np.repeat(np.repeat(part, 2, 0), 2, 1))
     for size_px, other, taken in ((at_net, 9.0, 0.8), (at_wall, 3.0, 0.2)):
         found, of_window = pair.other_surface(size_px)
@@ -29,7 +33,7 @@ def test_probabilities_of_cells():
     tried[4:7] = True
     logits = np.zeros((3, 2, 4), np.float32)
     logits[1, 0, 0] = 50  # one of the four half-cells of the first cell is sure
-    mean, most = in_cells(logits, tried)
+    mean, most = cell_probabilities(logits, tried)
     assert mean.shape == most.shape == (len(tried), 1, 2)
     assert mean[:, 0, 0].sum() == pytest.approx(1)
     assert mean[4:7, 0, 0] == pytest.approx([0.25, 0.5, 0.25], abs=1e-6)

@@ -1,4 +1,4 @@
-"""Decides levels by a regulariser, as stereo does, and lets each patch say how sure it is."""
+"""Decoder of levels by classical regularisation, with the confidence of single patches."""
 
 import dataclasses
 from functools import partial
@@ -25,7 +25,7 @@ from coded_aperture_ros.likelihood import Cost
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClassicalDecoded:
-    """What a regulariser has decided; see `Decoded`."""
+    """Levels decided by a regulariser; see `Decoded`."""
 
     level: FloatArray
     deviation: FloatArray
@@ -41,13 +41,13 @@ class ClassicalDecoded:
         return np.asarray(self.map_grid.nearest_patch_values(nearest.astype(np.float32)))
 
     def nearest_around(self, probability: float) -> FloatArray | None:
-        """None: the posterior of single patches is too coarse at depth edges for a bound."""
+        """None: at depth edges the posterior of single patches is too coarse for a bound."""
         return None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClassicalDecoder:
-    """Regularises, corrects foreground fattening, and calibrates what each patch says.
+    """Regularises levels, corrects foreground fattening, and calibrates the confidence.
 
     Attributes
     ----------
@@ -80,9 +80,9 @@ class ClassicalDecoder:
         volume : ndarray, float32 [grid rows, grid columns, L]
             Cost of every level by all frames that count.
         frame_cost : Cost
-            By this frame alone, or a mean of frames that are alike.
+            By this frame alone, or by the mean of equal frames.
         size : (int, int)
-            Rows and columns that the maps have at most.
+            Most rows and columns of the maps.
         """
         grid = observation.grid
         levels_of_patches = self.regularize(
@@ -116,7 +116,7 @@ class ClassicalDecoder:
         probability: FloatArray,
         at: MapGrid,
     ) -> tuple[FloatArray, FloatArray | None]:
-        """Probability that each pixel's level is right, and that its side is."""
+        """Probability that each pixel's level is right, and that its side is [rows, columns]."""
         agreement = self.levels.agreement
         if self.sides is None:
             return level_confidence(level, probability, at.patches, agreement), None
@@ -130,7 +130,7 @@ class ClassicalDecoder:
         return confidence, side_confidence
 
     def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:
-        """Standard deviation of each pixel's level, if its side is the right one."""
+        """Standard deviation of each pixel's level given its side, in levels [rows, columns]."""
         if self.sides is None:
             return level_deviation(level, volume, at.patches)
         return self.sides.deviation(level, volume, at.patches)

@@ -1,4 +1,4 @@
-"""What a decoder makes of the cost of every level."""
+"""Result of a decoder: level, deviation, confidence and quantiles of every pixel."""
 
 from typing import Protocol
 
@@ -6,7 +6,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 
 
 class Decoded(Protocol):
-    """Level of every pixel, and how sure it is; maps are float32 of one shape [rows, columns]."""
+    """Level of every pixel and its uncertainty; maps are float32 of one shape [rows, columns]."""
 
     @property
     def level(self) -> FloatArray:

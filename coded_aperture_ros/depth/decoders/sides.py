@@ -32,32 +32,43 @@ from coded_aperture_ros.frames.patches import window_means
 from coded_aperture_ros.likelihood.bank import image_prior
 from coded_aperture_ros.optics import PsfStack
 
-# Neighbours within a window's side whose levels differ by at most so many are one surface.
+# Largest difference of levels between neighbours of one surface.
 _ONE_SURFACE = 3.0
-# A patch's odds of the sides count with this share beside what its spectrum says: windows
-# overlap, and a texture that looks like one of the other side does so in many of them. From
-# simulated scenes; with it, the confidence of the side is about how often it is right.
+# Weight of a patch's log-odds of the sides beside the cost: windows overlap, and a texture that
+# looks like one of the other side does so in many of them. Fitted on simulated scenes, so that the
+# side's confidence is calibrated.
 _PATCH_ODDS_WEIGHT = 0.15
-# What one blur size for the whole frame leaves unexplained, as a share of the texture at every
-# frequency.
+# Model error of one blur size for the whole frame, as a share of the texture at every frequency.
 _MODEL_ERROR = 0.1
-# Gradients below this share of their surroundings' are taken to be of one size.
+# Floor of the gradients, as a share of those around them, and of squared gradients everywhere.
 _GRADIENT_FLOOR = 0.1
 _TINY = 1e-12
-# Natural logarithm of the odds for a difference of one in the mean logarithm of the squared
-# gradients, on planes with photographs. No patch is surer than the second.
+# Log-odds for a difference of one in the mean logarithm of the squared gradients, on planes with
+# photographs, and the largest log-odds of a patch.
 _GAIN = 15.0
 _MOST_LOG_ODDS = 6.0
-# Frames are extended by this, or by the width of the PSFs; it is what a gradient's surroundings
-# are, too.
+# Margin that frames are extended by, at least, and side of the box around a gradient, px.
 _AROUND_PX = 32
 
 
 class FocalSides:
-    """Tells the levels of the two sides of the focal plane apart, for frames of one size.
+    """Distinguishes levels of the two sides of the focal plane, for frames of one size.
 
-    The regulariser chooses the blur sizes that frames are deconvolved with. Those of two frames at
-    two focus settings tell the sides by their costs, patch by patch.
+    Parameters
+    ----------
+    stack : PsfStack
+    levels : Levels
+    shape : (int, int)
+        Rows and columns of the frames.
+    regularize : Regularizer
+        Chooses the blur sizes that frames are deconvolved with.
+    by_costs : bool
+        Whether the costs alone distinguish the sides, patch by patch, as those of two frames at two
+        focus settings do.
+
+    References
+    ----------
+    Martinello 2012, section 9.3.
     """
 
     def __init__(
@@ -75,18 +86,25 @@ class FocalSides:
         self._ambiguous = _ambiguous_levels(levels)
 
     def weigh(self, volume: FloatArray, observation: Observation, grey: FloatArray) -> FloatArray:
-        """Return the cost of every level by spectrum and phase, from that by the spectrum alone.
+        """Cost of every level by spectrum and phase [rows, columns, L].
 
-        Spectra tell the size of the blur, the same for both sides. With the PSF of that size, and
-        with the same turned by 180 degrees, the frame, or a mean of frames, is deconvolved, and the
-        levels of the less likely side cost more: by the mean of the patch and its neighbours with
-        about the same blur.
+        The spectrum gives the blur size, the same for both sides. The frame is deconvolved with the
+        PSF of that size and with the same turned by 180 degrees, and the levels of the less likely
+        side cost more: by the mean log-odds of the patch and its neighbours of about that blur.
+
+        Parameters
+        ----------
+        volume : ndarray, float32 [rows, columns, L]
+            Cost by the spectrum alone.
+        observation : Observation
+        grey : ndarray, float32 [height, width]
+            The frame, or a mean of frames.
         """
         sizes, grid = self._sizes_px, observation.grid
         longer = np.sign(sizes[np.abs(sizes).argmax()])
         one_side = np.flatnonzero(sizes * longer >= 0)
-        of_sizes = volume[..., one_side]
-        levels = self._regularize(of_sizes, of_sizes, observation.brightness, grid.stride_px)
+        size_cost = volume[..., one_side]
+        levels = self._regularize(size_cost, size_cost, observation.brightness, grid.stride_px)
         chosen = np.rint(levels).astype(np.intp)
         far = self._finder.log_odds(grey, grid, one_side[chosen], observation.noise.typical)
         far[is_uninformative(level_probability(volume))] = 0
@@ -101,12 +119,12 @@ class FocalSides:
         return np.asarray(both, np.float32)
 
     def condition_on_side(self, probability: FloatArray) -> FloatArray:
-        """Return the probability of every level if its side is the right one."""
+        """Probability of every level given its side [rows, columns, L]."""
         return condition_on_side(probability, self._sizes_px)
 
     def confidence(self, level: FloatArray, volume: FloatArray, grid: PatchGrid) -> FloatArray:
-        """Return how likely each patch is on the side of its level; see `side_confidence`."""
-        if self._by_costs:  # each patch knows
+        """Probability that each patch is on the side of its level; see `side_confidence`."""
+        if self._by_costs:
             odds = far_log_odds(volume, self._sizes_px, _MOST_LOG_ODDS)
             far = np.interp(level, np.arange(len(self._sizes_px)), self._sizes_px) > 0
             return np.asarray(1 / (1 + np.exp(np.where(far, -odds, odds))), np.float32)
@@ -115,7 +133,7 @@ class FocalSides:
     def deviation(
         self, level: FloatArray, volume: FloatArray, patches: tuple[IndexArray, IndexArray]
     ) -> FloatArray:
-        """Return the deviation of levels if their sides are right; see `level_deviation`."""
+        """Standard deviation of levels given their sides; see `level_deviation`."""
         far = self._sizes_px > 0
         beyond, before = (
             level_deviation(level, volume, patches, np.flatnonzero(side)) for side in (far, ~far)
@@ -123,12 +141,12 @@ class FocalSides:
         return np.where(far[np.rint(level).astype(np.intp)], beyond, before)
 
     def is_ambiguous(self, level: FloatArray) -> BoolArray:
-        """Return where the level of the other side with the same blur is as good."""
+        """Where the level of the same blur on the other side is equivalent [rows, columns]."""
         return np.asarray(self._ambiguous[np.rint(level).astype(np.intp)])
 
 
 def _ambiguous_levels(levels: Levels) -> BoolArray:
-    """Return for which levels that of the same blur on the other side is as good [L]."""
+    """Levels to which that of the same blur on the other side is equivalent, bool [L]."""
     sizes, index = levels.blur_sizes_px, np.arange(len(levels))
     order = np.argsort(sizes)
     mirrored = np.rint(np.interp(-sizes, sizes[order], index[order]))
@@ -139,9 +157,9 @@ def _ambiguous_levels(levels: Levels) -> BoolArray:
 
 
 def condition_on_side(probability: FloatArray, blur_sizes_px: DoubleArray) -> FloatArray:
-    """Return the probability of every level if its side of the focal plane is the right one.
+    """Probability of every level given its side of the focal plane [rows, columns, L].
 
-    Takes and gives [rows, columns, L]. Patches that are uninformative are left as they are.
+    Uninformative patches keep their probabilities.
     """
     given = probability.copy()
     for side in (blur_sizes_px > 0, blur_sizes_px <= 0):
@@ -156,10 +174,10 @@ def far_log_odds(
     blur_sizes_px: DoubleArray,
     surest: float = _PATCH_ODDS_WEIGHT * _MOST_LOG_ODDS,
 ) -> FloatArray:
-    """Return the logarithm of the odds that a patch is beyond the focal plane [rows, columns].
+    """Log-odds that a patch lies beyond the focal plane [rows, columns], at most `surest`.
 
-    From the cost of all levels [rows, columns, L]: a blur size that only one side has tells it too.
-    One mistaken for such a size must not outweigh all that phases tell: none is above `surest`.
+    From the cost of all levels [rows, columns, L], which includes that some blur sizes exist on one
+    side only. The limit keeps a wrong blur size from outweighing the phase.
     """
     probability = level_probability(volume)
     far, near = (
@@ -172,24 +190,24 @@ def far_log_odds(
 def side_confidence(
     level: FloatArray, log_odds: FloatArray, grid: PatchGrid, blur_sizes_px: DoubleArray
 ) -> FloatArray:
-    """Return how likely it is that each patch is on the side of its level [rows, columns].
+    """Probability that each patch is on the side of its level [rows, columns].
 
-    What the patch and its neighbours on the same surface tell, together: from the fractional levels
-    that were chosen and the `far_log_odds`, both [rows, columns].
+    From the log-odds of the patch and its neighbours on the same surface: `level` are the
+    fractional levels that were chosen, `log_odds` the `far_log_odds`, both [rows, columns].
     """
-    # Windows that overlap tell the same again.
+    # Overlapping windows are not independent.
     independent = _sum_over_surface(log_odds, level, grid) / _patches_per_window(grid) ** 2
     side = np.sign(np.interp(level, np.arange(len(blur_sizes_px)), blur_sizes_px))
     return np.asarray(1 / (1 + np.exp(-side * independent)), np.float32)
 
 
 def _patches_per_window(grid: PatchGrid) -> int:
-    """Return how many patches away the next window begins."""
+    """Patches from one window to the next that does not overlap it."""
     return max(round(grid.window_px / grid.stride_px), 1)
 
 
 def _sum_over_surface(values: FloatArray, level: FloatArray, grid: PatchGrid) -> FloatArray:
-    """Return the sum over each patch and its neighbours on the same surface [rows, columns]."""
+    """Sum over each patch and its neighbours on the same surface [rows, columns]."""
     reach = _patches_per_window(grid)
     rows, columns = values.shape
     other_levels = np.pad(level, reach, constant_values=np.float32(np.inf))
@@ -204,7 +222,7 @@ def _sum_over_surface(values: FloatArray, level: FloatArray, grid: PatchGrid) ->
 
 
 class SideFinder:
-    """Tells the two sides of the focal plane apart, for frames of one size."""
+    """Log-odds of the two sides of the focal plane, for frames of one size."""
 
     def __init__(self, stack: PsfStack, shape: tuple[int, ...]) -> None:
         self._stack = stack
@@ -217,26 +235,26 @@ class SideFinder:
     def log_odds(
         self, grey: FloatArray, grid: PatchGrid, level: IndexArray, noise: float
     ) -> FloatArray:
-        """Return the log-odds that each patch lies beyond the focal plane, not before it.
+        """Log-odds that each patch lies beyond the focal plane [rows, columns].
 
-        Natural logarithms [rows, columns], 0 where the two PSFs are the same. `grey` is in linear
-        light without NaN, `level` [rows, columns] has each patch's blur size, of either side.
+        Natural logarithms, 0 where the PSFs of both sides are the same. `grey` is linear light
+        without NaN, `level` [rows, columns] has each patch's blur size, of either side.
         """
         spectrum = scipy.fft.rfft2(extend_periodically(grey - grey.mean(), self._periodic))
-        found = np.zeros(level.shape, np.float32)
+        odds = np.zeros(level.shape, np.float32)
         for one in np.unique(level):
             clearer = self._gradient_log_ratio(spectrum, int(one), noise)
             own_side = np.float32(np.sign(self._stack.blur_sizes_px[one]))
             here = level == one
-            found[here] = own_side * _GAIN * window_means(clearer, grid, grid.window_px)[here]
-        return np.clip(found, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
+            odds[here] = own_side * _GAIN * window_means(clearer, grid, grid.window_px)[here]
+        return np.clip(odds, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)
 
     def _gradient_log_ratio(
         self, spectrum: NDArray[np.complex64], level: int, noise: float
     ) -> FloatArray:
-        """Return by how much clearer the frame is by a level's PSF than by that turned around.
+        """Log-ratio of squared gradients, deconvolved by the turned PSF and by a level's own.
 
-        The logarithm of the ratio of the squared gradients, of every pixel [height, width].
+        Of every pixel [height, width]; positive where the level's own PSF gives the sparser image.
         """
         transfer = self._transfer(level)
         passed = transfer.real**2 + transfer.imag**2
@@ -252,7 +270,7 @@ class SideFinder:
         return logarithm
 
     def _gradients(self, transform: NDArray[np.complex64]) -> list[FloatArray]:
-        """Return the squared differences to the right and down, within the frame."""
+        """Squared differences to the right and down, within the frame [height, width] each."""
         sharp = scipy.fft.irfft2(transform, self._periodic)
         height, width = self._shape
         here = sharp[:height, :width]

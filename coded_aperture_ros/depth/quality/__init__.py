@@ -1,3 +1,3 @@
-"""Does a frame fit its bank at all, and if not, why? See `FitCheck`."""
+"""Out-of-distribution check of frames against their bank; see `FitCheck`."""
 
 from coded_aperture_ros.depth.quality.health import CAUSES, FitCheck, Health, can_be_checked

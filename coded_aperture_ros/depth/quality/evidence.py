@@ -1,4 +1,4 @@
-"""How well a frame's windows are explained by the bank, and how much better by something else."""
+"""Features of a frame's windows: how well the bank explains them, and other PSFs do."""
 
 import dataclasses
 from functools import lru_cache
@@ -15,26 +15,30 @@ from coded_aperture_ros.depth.quality.spectra import (
     WINDOW_PX,
     PsfHypotheses,
     alternatives,
+    bank_levels,
     frequencies,
     levels_beyond,
     negative_log_likelihood,
-    own_levels,
-    powers,
+    power_spectra,
     quantiles,
 )
 from coded_aperture_ros.frames.patches import PatchGrid, window_means
 from coded_aperture_ros.optics import PsfStack
 
-# Windows are chosen one to a cell of the frame, those with the most texture.
+# Step between possible windows, px; the most textured one of every cell of the frame is chosen.
 _STRIDE_PX = 8
-_FEWEST = 4
+_FEWEST_WINDOWS = 4
+# Side of the box that texture is measured against, px.
 _BLUR_PX = 15
-_TOLERATED = 0.005
-# In hundredths of the negative log-likelihood: 1 is far more than chance for one window.
-_BETTER = 0.3
-_MOST = 6.0
-_EXTREME = 10.0
-_ABSENT = -2.0
+# Largest share of unusable pixels in a window.
+_UNUSABLE_SHARE = 0.005
+# Gains of alternatives, in hundredths of the negative log-likelihood: the least that counts (1 is
+# far more than chance for one window), the limits of means and of quantiles, and the value of those
+# that were not tried.
+_GAIN = 0.3
+_MOST_GAIN = 6.0
+_EXTREME_GAIN = 10.0
+_MISSING_GAIN = -2.0
 _LARGEST_RESIDUAL = 12.0
 _SIZE_UNIT_PX = 20.0
 _BANDS = (0.1, 0.2, 0.3, 0.4)
@@ -52,23 +56,23 @@ _Sums = tuple[DoubleArray, DoubleArray]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Evidence:
-    """What the windows of a frame say."""
+    """Features of a frame's windows, and the blur size of each."""
 
     features: list[float]  # for the network
     rows: IndexArray  # [n]; pixels at the windows' centres
     columns: IndexArray
-    size_px: DoubleArray  # [n]; blur size of the level that explains each best, without sign
-    weight: DoubleArray  # [n]; how much each tells; the sum is 1
+    size_px: DoubleArray  # [n]; blur size of the likeliest level, without sign
+    weight: DoubleArray  # [n]; by texture; the sum is 1
 
 
 class HypothesisTest:
-    """Compares the levels of a bank with what the lens may be instead; see `alternatives`.
+    """Likelihood-ratio test of a bank's levels against other PSFs; see `alternatives`.
 
-    With `guarded`, the ends of the bank stand for all that is beyond them, which is its own then.
+    With `guarded`, blur sizes beyond the bank's count as its own, as its ends stand for them.
     """
 
     def __init__(self, stack: PsfStack, guarded: bool = False) -> None:
-        own = own_levels(stack)
+        own = bank_levels(stack)
         beyond, others = levels_beyond(own), alternatives(own)
         if guarded:
             own = own.with_others(beyond)
@@ -83,26 +87,33 @@ class HypothesisTest:
     def score(
         self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
     ) -> Evidence | None:
-        """Return what the windows of a frame say; None if there are too few.
+        """Evidence of a frame; None if it has too few textured windows.
 
-        The frame is linear light without NaN, and `noise` its standard deviation, > 0; `unusable`
-        are pixels that were filled in. There are at most `cells` windows along each side of the
-        frame.
+        Parameters
+        ----------
+        grey : ndarray, float32 [height, width]
+            Linear light, without NaN.
+        noise : float
+            Its standard deviation, > 0.
+        unusable : ndarray, bool [height, width], or None
+            Pixels that were filled in.
+        cells : int
+            Most windows along each side of the frame.
         """
         tops, lefts = _chosen_windows(grey, unusable, cells)
-        if len(tops) < _FEWEST:
+        if len(tops) < _FEWEST_WINDOWS:
             return None
         cuts = [
             np.s_[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in zip(tops, lefts, strict=True)
         ]
-        power = powers(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
+        power = power_spectra(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
         scores = negative_log_likelihood(power, self._own)
         best = scores.reshape(len(power), -1).argmin(axis=1)
         contrast, kind = np.unravel_index(best, scores.shape[1:])
         level, slope = np.divmod(kind, len(SLOPES))
         least = scores[np.arange(len(power)), contrast, kind]
-        better = self._better(power, least, contrast)
-        # What the best hypothesis leaves: 1 on the mean, and scattered like the power of noise.
+        better = self._gains(power, least, contrast)
+        # Residual of the best hypothesis: 1 on the mean, and scattered like the power of noise.
         share = frequencies().share
         own_noise = np.exp(least - self._own.log_determinants[contrast, kind])
         residual = self._own.weights[contrast, kind] * power
@@ -114,14 +125,14 @@ class HypothesisTest:
         weight /= weight.sum()
         sizes_px, logarithm = self._sizes_px, np.log(own_noise)
         ordered = np.sort(better, axis=1)
-        clipped = np.clip(better, -_MOST, _MOST)
-        extreme = np.clip(better, -_EXTREME, _EXTREME)
+        clipped = np.clip(better, -_MOST_GAIN, _MOST_GAIN)
+        extreme = np.clip(better, -_EXTREME_GAIN, _EXTREME_GAIN)
         features = [
             *(weight @ clipped),
             *quantiles(extreme, 0.25, 0.5, 0.75, 0.9).flat,
-            *(weight @ (better > _BETTER)),
-            *(weight @ (better < -_BETTER)),
-            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST, _MOST)),
+            *(weight @ (better > _GAIN)),
+            *(weight @ (better < -_GAIN)),
+            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST_GAIN, _MOST_GAIN)),
             weight @ scatter,
             *quantiles(scatter, 0.25, 0.75),
             weight @ logarithm,
@@ -142,12 +153,13 @@ class HypothesisTest:
             [float(x) for x in features], tops + half, lefts + half, sizes_px[level], weight
         )
 
-    def _better(self, power: FloatArray, least: FloatArray, contrast: IndexArray) -> FloatArray:
-        """Return by how much each alternative explains each window better [n, len(NAMES)].
+    def _gains(self, power: FloatArray, least: FloatArray, contrast: IndexArray) -> FloatArray:
+        """Gain of each alternative over the bank for each window [n, len(NAMES)], hundredths.
 
-        With about the contrasts that explain windows best: others cost time, and tell nothing.
+        Only contrasts near those that explain the windows best are tried: others take time and
+        change nothing.
         """
-        found = np.full((len(power), len(NAMES)), _ABSENT, np.float32)
+        found = np.full((len(power), len(NAMES)), _MISSING_GAIN, np.float32)
         each = negative_log_likelihood(power, self._others.near_contrasts(contrast)).min(axis=1)
         best = np.minimum.reduceat(each, self._starts, axis=1)
         found[:, self._present] = 100 * (least[:, None] - best)
@@ -157,20 +169,20 @@ class HypothesisTest:
 def _chosen_windows(
     grey: FloatArray, unusable: BoolArray | None, cells: int
 ) -> tuple[IndexArray, IndexArray]:
-    """Return the first row and column of the most textured window of every cell [n]."""
+    """First row and column of the most textured window of every cell [n]."""
     try:
         grid = PatchGrid.covering(grey.shape, WINDOW_PX, _STRIDE_PX)
     except InputError:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
     half = WINDOW_PX // 2
-    some = grey[::2]  # every other row tells as much as all
+    some = grey[::2]  # every other row is enough for the texture
     fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
     blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
     mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
     texture = grid.centre_values(mean, _STRIDE_PX)
     if unusable is not None:
         share = window_means(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
-        texture[share > _TOLERATED] = -1
+        texture[share > _UNUSABLE_SHARE] = -1
     found = []
     down, across = (
         np.array_split(np.arange(length), min(cells, length)) for length in texture.shape
@@ -186,10 +198,10 @@ def _chosen_windows(
 
 
 def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) -> list[float]:
-    """Return where in the spectrum the bank is wrong.
+    """Features of the residual's spectrum.
 
-    By frequency and direction: what motion and processing do. And by frequency in units of the PSF,
-    where another pattern leaves the same traces at all depths.
+    By frequency and direction, for motion and processing, and by frequency times blur size, where
+    another mask leaves the same pattern at all depths.
     """
     at = frequencies()
     mean = np.maximum(weight @ residual, 1e-3)

@@ -1,4 +1,4 @@
-"""How well a frame fits its bank, as one number, and the likeliest cause where it does not."""
+"""Out-of-distribution check: how well a frame fits its bank, and the likeliest cause if not."""
 
 import dataclasses
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ from coded_aperture_ros.optics import PsfStack
 
 SCHEMA = "coded-aperture check of fit"
 SCHEMA_VERSION = 1
-# What a cause is called, what to say of it, and to do; in the order of the network's outputs.
+# Name of each cause, its description and remedy; in the order of the network's outputs.
 CAUSES = {
     "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
     "the camera file",
@@ -35,64 +35,88 @@ CAUSES = {
     "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic: switch "
     "that off in the camera, or say bayer",
 }
-# From here on a frame is said to fit.
-FITS = 0.5
-# Confidence falls from the first health to the second, down to what is right by chance where frames
-# do not fit. It is about as often right as it says, over frames that fit and others.
+# Least health of a frame that fits.
+FIT_THRESHOLD = 0.5
+# Confidence is lowered from the first health on, down to that of a guess at the second. With these
+# it is calibrated over frames that fit and others together.
 _TRUSTED = 0.7
-WITHHELD = 0.2
+WITHHOLD_BELOW = 0.2
 _CHANCE_CONFIDENCE = 0.2
-# What the network was trained for.
+# Largest blur size that the network was trained for, px, and limits of its features before and
+# after they are standardised.
 LARGEST_PX = 22.5
 LIMIT = 20.0
 SCALED_LIMIT = 5.0
 _LAYERS = 3
-# Of the largest frames that the network has learned from: what smaller ones say is less certain.
+# Pixels of the largest frames in training: smaller ones are less certain.
 _USUAL_PIXELS = 288 * 288
+# Noise, linear light: least value, the value below which frames are simulated ones, and the
+# standard deviation of the noise that is added to those.
 _LEAST_NOISE = 2e-4
 _CLEANEST = 3e-4
 _DITHER = 6e-4
+# Differences of the windows' blur sizes from the map's, px: the largest that counts, and the least
+# that is another depth.
 _UNSURE_PX = 4.0
 _FAR_PX = 1.5
+# Default threshold of the confidence.
 _CONFIDENT = 0.55
+# Every third row and column of the confidence is enough for its mean.
 _SPARSE = 3
-# What is left out on either side of the middle, as shares of the frame.
+# Margin on every side that is left out with `middle_only`, as a share of the frame.
 _MARGIN_SHARE = 0.3
-# At most so many windows along a side at the first look, which is enough where confidence is left
-# as it is, and at the second.
+# Most windows along a side in the first pass, which is enough where confidence is not lowered, and
+# in the second.
 _CELLS = 5, 10
-# Of a video, one frame in so many is looked at, and counts by this share.
+# Frames of a video from one check to the next, and the weight of a new one in the running mean.
 _FRAME_INTERVAL = 4
 _NEW_FRAME_WEIGHT = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
 class Health:
-    """How well a frame fits its bank."""
+    """How well a frame fits its bank.
 
-    # In [0, 1]: how likely what is sure of its depth is right by and large; from `FITS` on it fits.
+    Attributes
+    ----------
+    value : float
+        Probability, in [0, 1], that confident depth is about right; a frame fits from
+        `FIT_THRESHOLD` on.
+    cause : str
+        The likeliest of `CAUSES` if the frame does not fit; empty if it does.
+
+    Examples
+    --------
+    >>> print(Health(0.9))
+    fits (0.90)
+    >>> print(Health(0.1, "none"))
+    does not fit (0.10): no mask in the lens: put it in
+    """
+
     value: float
-    cause: str = ""  # the likeliest of `CAUSES` if it does not fit; empty if it does
+    cause: str = ""
 
     @property
     def fits(self) -> bool:
-        """Whether the depth may be relied on."""
-        return self.value >= FITS
+        """Whether the frame fits."""
+        return self.value >= FIT_THRESHOLD
 
     @property
     def withheld(self) -> bool:
-        """Whether depth is so unlikely to be right that its confidence is next to nothing."""
-        return self.value < WITHHELD
+        """Whether the confidence is lowered to that of a guess."""
+        return self.value < WITHHOLD_BELOW
 
     def __str__(self) -> str:
-        """Say it in one line."""
+        """Verdict in one line, with the cause and its remedy."""
         if self.fits:
             return f"fits ({self.value:.2f})"
         return f"does not fit ({self.value:.2f}): {CAUSES[self.cause]}"
 
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
-        """Return what is left of a confidence."""
-        left = np.float32(np.clip((self.value - WITHHELD) / (_TRUSTED - WITHHELD), 0, 1))
+        """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
+        left = np.float32(
+            np.clip((self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW), 0, 1)
+        )
         if left >= 1:
             return confidence
         lowest = np.minimum(confidence, np.float32(_CHANCE_CONFIDENCE))
@@ -101,36 +125,44 @@ class Health:
 
 @lru_cache(maxsize=1)
 def _weights() -> dict[str, FloatArray]:
-    """Return what small networks [members, ...] standardise by, and their weights and biases."""
+    """Mean, scale, weights and biases of the networks [members, ...], by name."""
     arrays = read_shipped(__file__, "fit.npz", SCHEMA, SCHEMA_VERSION)
     return {name: as_floats(array) for name, array in arrays.items() if array.ndim}
 
 
 def _outputs_of(features: FloatArray) -> FloatArray:
-    """Return the mean of what the networks say: health, then causes."""
-    of = _weights()
-    values = (np.clip(features, -LIMIT, LIMIT) - of["mean"]) / of["scale"]
+    """Mean output of the networks: logits of health, then of the causes."""
+    arrays = _weights()
+    values = (np.clip(features, -LIMIT, LIMIT) - arrays["mean"]) / arrays["scale"]
     values = np.clip(values, -SCALED_LIMIT, SCALED_LIMIT)[..., None]
     for layer in range(_LAYERS):
-        values = of[f"weight{layer}"] @ values + of[f"bias{layer}"][..., None]
+        values = arrays[f"weight{layer}"] @ values + arrays[f"bias{layer}"][..., None]
         if layer < _LAYERS - 1:
             np.maximum(values, 0, out=values)
     return np.asarray(values[..., 0].mean(axis=0))
 
 
 def can_be_checked(stack: PsfStack) -> bool:
-    """Return whether the levels are such as the network was trained for."""
+    """Whether the network was trained for a bank's levels."""
     if not stack.in_pixels or len(stack) < 3:
         return False
     return float(np.abs(stack.blur_sizes_px).max()) <= LARGEST_PX
 
 
 class FitCheck:
-    """Checks the frames of a video, or single ones, against a bank's PSFs; see `can_be_checked`.
+    """Checks the frames of a video, or single ones, against a bank's PSFs.
 
-    With `remembers`, frames are those of a video, in order: then only some are looked at, and what
-    they say is averaged. With `guarded`, the levels at the ends stand for what is beyond them. With
-    `middle_only`, the PSFs are those of the middle of the image, and only windows there tell.
+    Parameters
+    ----------
+    stack : PsfStack
+        PSFs of the bank, for which `can_be_checked`.
+    remembers : bool
+        Whether frames are those of a video, in order: then only some are checked, and their
+        results averaged.
+    guarded : bool
+        Whether the first and last level stand for all blur sizes beyond them.
+    middle_only : bool
+        Whether the PSFs are those of the middle of the image; then only windows there count.
     """
 
     def __init__(
@@ -157,17 +189,22 @@ class FitCheck:
         level: FloatArray,
         confidence: FloatArray,
     ) -> Health | None:
-        """Return how well a frame fits; None if there is too little to see.
+        """Health of a frame; None if it has too little texture.
 
-        Takes the misfit of the patches, see `Cost`, the fractional level that was found of every
-        pixel, and how sure that is.
+        Parameters
+        ----------
+        observation : Observation
+        misfit : ndarray, float32 [grid rows, grid columns]
+            Of the patches; see `Cost`.
+        level, confidence : ndarray, float32 [rows, columns]
+            Estimated fractional level of every pixel, and its confidence.
         """
         due = not self._remembers or self._frames % _FRAME_INTERVAL == 0
         self._frames += 1
         if not due:
             return self._health
         outputs = None
-        for features in self.looks(observation, misfit, level, confidence):
+        for features in self.features(observation, misfit, level, confidence):
             outputs = _outputs_of(features)
             if _health_of(outputs).value > _TRUSTED:
                 break
@@ -178,23 +215,23 @@ class FitCheck:
         self._outputs, self._health = outputs, _health_of(outputs)
         return self._health
 
-    def looks(
+    def features(
         self,
         observation: Observation,
         misfit: FloatArray,
         level: FloatArray,
         confidence: FloatArray,
     ) -> Iterator[FloatArray]:
-        """Yield what the network is told of a frame: of few windows, and, if asked, of more.
+        """Features of a frame for the network: from few windows, then, if asked, from more.
 
-        Nothing if there is too little to see. Arguments are those of a call.
+        Nothing if the frame has too little texture. Parameters are those of a call.
         """
         grey, noise = observation.grey, max(observation.noise.typical, _LEAST_NOISE)
-        if noise < _CLEANEST:  # as no camera's frames are: simulated ones
+        if noise < _CLEANEST:  # only simulated frames have so little noise
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
         known = observation.noise.sigma if observation.noise.highest is None else 0.0
-        of_file = frame_statistics(grey, noise, known)
+        statistics = frame_statistics(grey, noise, known)
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
         top, left = (
             int(_MARGIN_SHARE * length) if self._middle_only else 0 for length in grey.shape
@@ -206,11 +243,11 @@ class FitCheck:
             if windows is not None:
                 at = windows.rows + top, windows.columns + left
                 windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
-                of_maps = self._of_maps(windows, observation, misfit, level, confidence)
-                numbers = [*windows.features, *of_file, *of_maps, smaller]
+                map_features = self._map_features(windows, observation, misfit, level, confidence)
+                numbers = [*windows.features, *statistics, *map_features, smaller]
                 yield np.nan_to_num(np.array(numbers, np.float32))
 
-    def _of_maps(
+    def _map_features(
         self,
         windows: Evidence,
         observation: Observation,
@@ -218,23 +255,23 @@ class FitCheck:
         level: FloatArray,
         confidence: FloatArray,
     ) -> list[float]:
-        """Return what was made of the windows by the estimate, for the network."""
-        telling = misfit[observation.usable] if observation.usable.any() else misfit
-        of_map = (
+        """Features of misfit, confidence and agreement of the map with single windows."""
+        usable_misfit = misfit[observation.usable] if observation.usable.any() else misfit
+        map_pixels = (
             centres * length // whole
             for centres, length, whole in zip(
                 (windows.rows, windows.columns), level.shape, observation.grey.shape, strict=True
             )
         )
-        # What one window says by itself, and what became of it among its neighbours.
-        sizes_px, own_px = self._stack.blur_sizes_px, windows.size_px
+        # Blur size by one window alone, and by the map, which its neighbours have influenced.
+        sizes_px, window_px = self._stack.blur_sizes_px, windows.size_px
         if self._guarded:
-            own_px = np.clip(own_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
-        found_px = np.interp(level[tuple(of_map)], np.arange(len(sizes_px)), sizes_px)
-        apart = np.abs(np.abs(found_px) - own_px)
+            window_px = np.clip(window_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
+        map_px = np.interp(level[tuple(map_pixels)], np.arange(len(sizes_px)), sizes_px)
+        apart = np.abs(np.abs(map_px) - window_px)
         some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
         return [
-            *quantiles(telling.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
+            *quantiles(usable_misfit.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
             some.mean(),
             (some >= _CONFIDENT).mean(),
             np.median(apart),
@@ -248,27 +285,33 @@ class FitCheck:
 
 
 def _health_of(outputs: FloatArray) -> Health:
+    """Health from the networks' mean output."""
     value = float(1 / (1 + np.exp(-outputs[0])))
     cause = list(CAUSES)[int(outputs[1:].argmax())]
-    return Health(value, "" if value >= FITS else cause)
+    return Health(value, "" if value >= FIT_THRESHOLD else cause)
 
 
+# Usual noise of cameras, and the least that logarithms are taken of, linear light.
 _USUAL_NOISE = 2e-3
-_NOISE_PX = 24
 _LEAST = 2e-5
+# Side of the squares whose noise is compared, px.
+_NOISE_PX = 24
+# Sides of the blocks of codecs, px.
 _BLOCKS_PX = (8, 16)
+# Linear light from which a pixel is clipped.
 _CLIPPED = 0.985
+# Height of the bands of rows that stand for a frame, px, and their number.
 _BAND_PX = 48
 _BANDS = 3
 
 
 def frame_statistics(grey: FloatArray, noise: float, known: float) -> list[float]:
-    """Return numbers about a frame [rows, columns] that do not depend on the mask.
+    """Features of a frame [rows, columns] that do not depend on the mask.
 
-    `noise` is the standard deviation that is reckoned with, `known` what was known of it
-    beforehand; 0: nothing.
+    `noise` is the standard deviation that the estimate assumes, `known` the one known beforehand;
+    0: unknown.
     """
-    # Of a large frame some bands of rows tell enough.
+    # A few bands of rows are enough for a large frame.
     step_px = max(len(grey) // _BANDS, _BAND_PX)
     bands = [grey[top : top + _BAND_PX] for top in range(0, len(grey) - _NOISE_PX, step_px)]
     return [
@@ -282,7 +325,7 @@ def frame_statistics(grey: FloatArray, noise: float, known: float) -> list[float
 
 
 def _noise(bands: list[FloatArray], noise: float, known: float) -> list[float]:
-    """Return its colour, its size, and how that compares with what was known."""
+    """Features of the noise: spectrum, size, and its ratio to the known one."""
     found = []
     for kernel in (ALTERNATING, HALF_AS_FAST):
         some = []
@@ -308,7 +351,7 @@ def _noise(bands: list[FloatArray], noise: float, known: float) -> list[float]:
 
 
 def _block_grid(grey: FloatArray, noise: float) -> list[float]:
-    """Return how much more neighbours differ at one place in 8, and in 16, than at the others."""
+    """Logarithm of the block edges' contrast over that elsewhere, for blocks of 8 and 16 px."""
     found = []
     step = _step(grey)
     for lines in (np.ascontiguousarray(grey[:, ::step].T), grey[::step]):
@@ -321,7 +364,7 @@ def _block_grid(grey: FloatArray, noise: float) -> list[float]:
 
 
 def _values(grey: FloatArray) -> list[float]:
-    """Return how many pixels are alike, clipped or black, and how many values there are."""
+    """Shares of equal, clipped and black pixels, brightness, and number of distinct values."""
     step = _step(grey)
     rows, some = np.ascontiguousarray(grey[::step]), grey[:: step + step // 2, :: step + step // 2]
     steps = cv2.absdiff(rows[:, 1:], rows[:, :-1])
@@ -339,7 +382,7 @@ def _values(grey: FloatArray) -> list[float]:
 
 
 def _lines(grey: FloatArray, noise: float) -> list[float]:
-    """Return how uneven rows and columns are, beside what noise makes of them."""
+    """Logarithm of the unevenness of columns and rows, relative to the noise."""
     found = []
     for axis in (0, 1):
         line = grey.mean(1 - axis)
@@ -349,18 +392,18 @@ def _lines(grey: FloatArray, noise: float) -> list[float]:
 
 
 def _mosaic(grey: FloatArray) -> float:
-    """Return how much the four places of every square of two by two pixels differ."""
+    """Logarithm of the difference between the four places of 2 x 2 squares: a Bayer mosaic."""
     lines = [grey[row::2].mean(axis=0) for row in (0, 1)]
     means = [line[column::2].mean() for line in lines for column in (0, 1)]
     return float(np.log(1e-4 + np.std(means) / max(np.mean(means), 1e-9)))
 
 
 def _isolated_pixels(bands: list[FloatArray], noise: float) -> float:
-    """Return how many pixels are unlike all around them."""
-    away = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
-    return float(np.log(1e-5 + np.mean([np.count_nonzero(each) / each.size for each in away])))
+    """Logarithm of the share of pixels that differ from all around them."""
+    isolated = [cv2.absdiff(band, cv2.medianBlur(band, 3)) > 6 * noise + 0.02 for band in bands]
+    return float(np.log(1e-5 + np.mean([np.count_nonzero(each) / each.size for each in isolated])))
 
 
 def _step(grey: FloatArray) -> int:
-    """Return at which distance rows and columns are enough of them: of a larger frame, fewer."""
+    """Step between the rows and columns that are sampled, px: larger for larger frames."""
     return max(2, min(grey.shape) // 96)

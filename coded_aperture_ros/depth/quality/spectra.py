@@ -1,4 +1,4 @@
-"""Power spectra of windows, and what a PSF makes of natural texture in them."""
+"""Power spectra of windows, and their expected power for a PSF and natural texture."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ _REACH = 10
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Frequencies:
-    """The K frequencies of a window that count."""
+    """The K frequencies of a window that are compared."""
 
     used: BoolArray  # [rows, columns]; which of ``scipy.fft.rfft2``
     vertical: DoubleArray  # [K]; cycles per pixel
@@ -37,18 +37,18 @@ class Frequencies:
 
     @property
     def radius(self) -> DoubleArray:
-        """Cycles per pixel in any direction [K]."""
+        """Radial frequency, cycles per pixel [K]."""
         return np.asarray(np.hypot(self.vertical, self.horizontal))
 
     def directions(self, count: int) -> IndexArray:
-        """Return which of `count` directions, of half a turn, each is nearest to [K]."""
+        """Index of the nearest of `count` directions over half a turn [K]."""
         angle = np.arctan2(self.vertical, self.horizontal) % np.pi
         return (angle / np.pi * count + 0.5).astype(np.intp) % count
 
 
 @lru_cache(maxsize=1)
 def frequencies() -> Frequencies:
-    """Return the frequencies that all spectra here have."""
+    """Frequencies of all spectra of this module."""
     basis = WindowedFourierBasis(WINDOW_PX, _HIGHEST_FREQUENCY)
     n = WINDOW_PX
     multiplicity = basis.multiplicity.reshape(n, -1)
@@ -60,8 +60,8 @@ def frequencies() -> Frequencies:
     return Frequencies(used, vertical, horizontal, counts / counts.sum(), window)
 
 
-def powers(windows: FloatArray) -> FloatArray:
-    """Return the power [n, K] of windows [n, N, N], without their means."""
+def power_spectra(windows: FloatArray) -> FloatArray:
+    """Power [n, K] of windows [n, N, N], without their means."""
     at = frequencies()
     centred = windows - windows.mean(axis=(1, 2), keepdims=True)
     spectra = scipy.fft.rfft2(centred * at.window)[:, at.used]
@@ -70,7 +70,7 @@ def powers(windows: FloatArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PsfHypotheses:
-    """What windows look like through each of P PSFs, with textures of each contrast and slope."""
+    """Expected power of windows for each of P PSFs, texture contrasts and spectral slopes."""
 
     # [contrasts, P * slopes, K]; inverse of the expected power, in units of the noise, times the
     # frequencies' shares.
@@ -79,7 +79,7 @@ class PsfHypotheses:
 
     @classmethod
     def from_psfs(cls, psfs: Sequence[FloatArray]) -> "PsfHypotheses":
-        """Compute them for P PSFs."""
+        """Hypotheses of P PSFs."""
         share = frequencies().share
         expected = np.concatenate([_expected_power(psf) for psf in psfs])
         power = _CONTRASTS[:, None, None] * expected + 1
@@ -88,20 +88,20 @@ class PsfHypotheses:
 
     @classmethod
     def concatenate(cls, some: Sequence["PsfHypotheses"]) -> "PsfHypotheses":
-        """Return those of all, one after the other."""
+        """All hypotheses of some groups, one after the other."""
         weights = np.concatenate([each.weights for each in some], axis=1).swapaxes(1, 2)
         determinants = np.concatenate([each.log_determinants for each in some], axis=1)
         # Many are multiplied more quickly with frequencies first in memory.
         return cls(np.ascontiguousarray(weights).swapaxes(1, 2), determinants)
 
     def near_contrasts(self, contrasts: IndexArray) -> "PsfHypotheses":
-        """Return those of some contrasts and their neighbours."""
+        """Hypotheses of the range of some contrasts' indices, and one on either side."""
         some = slice(max(int(contrasts.min()) - 1, 0), int(contrasts.max()) + 2)
         return PsfHypotheses(self.weights[some], self.log_determinants[some])
 
 
 def negative_log_likelihood(power: FloatArray, hypotheses: PsfHypotheses) -> FloatArray:
-    """Return how badly each hypothesis explains windows [n, contrasts, P * slopes].
+    """Negative log-likelihood of each hypothesis for each window [n, contrasts, P * slopes].
 
     Twice the negative log-likelihood per coefficient, but for a constant, with a noise of the
     window's own at its best value: the energy of `FilterBank`. `power` [n, K] is in units of the
@@ -115,7 +115,7 @@ def negative_log_likelihood(power: FloatArray, hypotheses: PsfHypotheses) -> Flo
 
 
 def _expected_power(psf: FloatArray) -> DoubleArray:
-    """Return the expected power of windows with texture of each slope [slopes, K].
+    """Expected power of windows with texture of each slope [slopes, K].
 
     As `WindowedFourierBasis.expected_power` does, but the window's narrow spectrum is convolved
     with, which is a few times as fast and 0.2 % off.
@@ -148,9 +148,9 @@ def _window_spectrum() -> DoubleArray:
 
 
 def quantiles(values: NDArray, *shares: float) -> NDArray:
-    """Return quantiles along the first axis [shares, ...], as ``np.quantile`` does.
+    """Quantiles along the first axis [shares, ...], as from ``np.quantile``.
 
-    That takes several times as long for a few dozen numbers, and a frame asks for many.
+    That takes several times as long for a few dozen numbers, and a frame needs many.
     """
     ordered = np.sort(values, axis=0)
     at = np.array(shares) * (len(values) - 1)
@@ -160,35 +160,35 @@ def quantiles(values: NDArray, *shares: float) -> NDArray:
     return np.asarray(ordered[below] + part * (ordered[above] - ordered[below]))
 
 
-# Enough of a bank's levels: more are closer than their spectra differ.
+# Most levels of a bank that are tried: the spectra of more would hardly differ.
 _LEVELS = 16
 _SIZES_PX = np.array([2, 3, 4.2, 5.6, 7, 8.6, 10.3, 12.2, 14.3, 16.5, 19, 22])
-# Sizes that differ by less are those of the bank.
+# Blur sizes within this distance of the bank's are its own, px.
 _BEYOND_PX = 0.7
 _SHARP_PX = (0.3, 0.7, 1.1, 1.6)
-# An ordinary lens, all in focus, and masks that people use.
+# An open aperture, all in focus, and masks in common use.
 _OTHERS = ("disc", "sharp", "levin", "four_hole", "zhou", "mura")
 NAMES = ("beyond", "inverted", "rot90", "mirror", "rot45", *_OTHERS)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PsfLevels:
-    """Some PSFs, and their blur sizes, px, without sign."""
+    """PSFs, and their blur sizes without sign, px."""
 
     sizes_px: DoubleArray
     psfs: list[FloatArray]
 
     def with_others(self, other: "PsfLevels") -> "PsfLevels":
-        """Return the levels of both, by size."""
+        """Levels of both, ordered by size."""
         sizes_px = np.concatenate([self.sizes_px, other.sizes_px])
         order, psfs = np.argsort(sizes_px), [*self.psfs, *other.psfs]
         return PsfLevels(sizes_px[order], [psfs[level] for level in order])
 
 
-def own_levels(stack: PsfStack) -> PsfLevels:
-    """Return enough levels of a bank.
+def bank_levels(stack: PsfStack) -> PsfLevels:
+    """At most `_LEVELS` levels of a bank, of one side of the focal plane.
 
-    Of a bank for both sides of the focus those of one side: spectra do not tell the sides.
+    Power spectra do not distinguish the sides.
     """
     sizes_px = stack.blur_sizes_px if stack.in_pixels else _widths(stack.psfs)
     longer = np.sign(sizes_px[np.abs(sizes_px).argmax()])
@@ -200,24 +200,21 @@ def own_levels(stack: PsfStack) -> PsfLevels:
 
 
 def alternatives(own: PsfLevels) -> dict[str, PsfHypotheses]:
-    """Return what may explain a frame better than the levels of a bank.
-
-    Of `NAMES`, but for what is beyond the bank.
-    """
+    """Hypotheses beside the levels of a bank, by name: those of `NAMES` except "beyond"."""
     psfs = own.psfs
     inverted = [_inverted(psf, size) for psf, size in zip(psfs, own.sizes_px, strict=True)]
     made = {
         "inverted": [psf for psf in inverted if psf is not None],
         "rot90": [np.rot90(psf).copy() for psf in psfs],
         "mirror": [psf[:, ::-1] for psf in psfs],
-        "rot45": [_turned(psf) for psf in psfs[::2]],
+        "rot45": [_rotated_45(psf) for psf in psfs[::2]],
     }
     found = {name: PsfHypotheses.from_psfs(psfs) for name, psfs in made.items() if psfs}
-    return found | {name: _other(name) for name in _OTHERS}
+    return found | {name: _named_alternative(name) for name in _OTHERS}
 
 
 @lru_cache
-def _other(name: str) -> PsfHypotheses:
+def _named_alternative(name: str) -> PsfHypotheses:
     if name == "sharp":
         rows = [cv2.getGaussianKernel(11, sigma) for sigma in _SHARP_PX]
         return PsfHypotheses.from_psfs([row @ row.T for row in rows])
@@ -225,7 +222,7 @@ def _other(name: str) -> PsfHypotheses:
 
 
 def _widths(psfs: FloatArray) -> DoubleArray:
-    """Return about how wide PSFs are that do not say [L]: a square's width for their spread."""
+    """Approximate blur size of PSFs of unknown size [L], px: the square of equal spread."""
     along = np.arange(psfs.shape[-1]) - psfs.shape[-1] // 2
     square = np.add.outer(along**2, along**2)
     spread = np.maximum((psfs * square).sum(axis=(1, 2)) / psfs.sum(axis=(1, 2)), 0)
@@ -233,7 +230,7 @@ def _widths(psfs: FloatArray) -> DoubleArray:
 
 
 def levels_beyond(own: PsfLevels) -> PsfLevels:
-    """Return the widest of a bank's PSFs at the sizes that it does not have."""
+    """A bank's widest PSF, scaled to the blur sizes that the bank does not have."""
     widest, largest_px = own.psfs[int(own.sizes_px.argmax())], float(own.sizes_px.max())
     if largest_px <= 0:
         return PsfLevels(np.zeros(0), [])
@@ -245,6 +242,7 @@ def levels_beyond(own: PsfLevels) -> PsfLevels:
 
 
 def _scaled(psf: FloatArray, scale: float) -> FloatArray:
+    """PSF scaled about its centre, without aliasing; the sum is 1."""
     width = int(np.ceil(len(psf) * scale)) // 2 * 2 + 3
     offset = (width - 1) / 2 - scale * (len(psf) - 1) / 2
     if scale < 1:
@@ -255,7 +253,7 @@ def _scaled(psf: FloatArray, scale: float) -> FloatArray:
 
 
 def _inverted(psf: FloatArray, size_px: float) -> FloatArray | None:
-    """Return the PSF of the mask with open and opaque exchanged; None if that is nothing."""
+    """PSF of the inverted mask (open and opaque exchanged); None if nothing would be open."""
     along = np.clip(size_px / 2 + 0.5 - np.abs(np.arange(len(psf)) - len(psf) // 2), 0, 1)
     square = np.outer(along, along)
     inverted = np.clip(square - psf / np.quantile(psf[psf > 0], 0.95), 0, 1) * (square > 0)
@@ -263,7 +261,8 @@ def _inverted(psf: FloatArray, size_px: float) -> FloatArray | None:
     return np.asarray(inverted / inverted.sum()) if share > 0.05 else None
 
 
-def _turned(psf: FloatArray) -> FloatArray:
+def _rotated_45(psf: FloatArray) -> FloatArray:
+    """PSF turned by 45 degrees; the sum is 1."""
     centre = (len(psf) - 1) / 2
     turn = cv2.getRotationMatrix2D((centre, centre), 45, 1)
     turned = cv2.warpAffine(psf, turn, psf.shape)

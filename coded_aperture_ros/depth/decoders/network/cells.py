@@ -1,4 +1,4 @@
-"""The cells of a frame that depth is refined on: those of the patches, and more up to its edges."""
+"""Square cells that cover a frame, which the network works on."""
 
 import dataclasses
 
@@ -10,13 +10,13 @@ from coded_aperture_ros.frames import PatchGrid
 
 # Distance between cells, px; patches at other distances are interpolated.
 CELL_PX = 8
-# The network halves the cells' rows and columns so often.
+# Times that the network halves the cells' rows and columns.
 HALVINGS = 2
 
 
 @dataclasses.dataclass(frozen=True)
 class Cells:
-    """Square cells that cover a frame, one around every patch's centre where there are patches."""
+    """Square cells that cover a frame; where there are patches, one around each centre."""
 
     # First pixel row and column of the first cell; 0 or less, as the cells cover the frame.
     top: int
@@ -29,7 +29,7 @@ class Cells:
 
     @classmethod
     def covering(cls, frame_shape: tuple[int, ...], grid: PatchGrid) -> "Cells":
-        """Return the cells of a frame whose patches lie on `grid`."""
+        """Cells of a frame whose patches lie on `grid`."""
         height, width = frame_shape[:2]
         top, rows = _axis(int(grid.row_centres[0]), height)
         left, columns = _axis(int(grid.column_centres[0]), width)
@@ -38,10 +38,20 @@ class Cells:
     def resample_patches(
         self, values: FloatArray, grid: PatchGrid
     ) -> tuple[FloatArray, FloatArray]:
-        """Return patches' values at the cells, and where there are any.
+        """Values of the patches at the cells, and which cells have patches.
 
-        Takes those of a grid, float32 [..., grid rows, grid columns]. Returns [..., rows, columns],
-        where there is no patch those of the nearest, and 1 or 0 as float32 [rows, columns].
+        Parameters
+        ----------
+        values : ndarray, float32 [..., grid rows, grid columns]
+        grid : PatchGrid
+            Of these patches.
+
+        Returns
+        -------
+        values : ndarray, float32 [..., rows, columns]
+            Beyond the outermost patches, those of the nearest.
+        known : ndarray, float32 [rows, columns]
+            1 where there are patches, else 0.
         """
         rows = _inside(grid.row_centres, self.top)
         columns = _inside(grid.column_centres, self.left)
@@ -63,7 +73,7 @@ class Cells:
         return at_cells, known
 
     def pad_frame(self, picture: FloatArray) -> FloatArray:
-        """Return a picture [height, width] cut and mirrored to the cells' outline."""
+        """Picture [height, width] extended to the outline of the cells, by mirroring."""
         height, width = self.frame_shape
         bottom = self.top + self.rows * CELL_PX - height
         right = self.left + self.columns * CELL_PX - width
@@ -72,7 +82,7 @@ class Cells:
 
 
 def _inside(centres: IndexArray, first: int) -> slice:
-    """Return the cells whose middles lie among patches' centres."""
+    """Cells of an axis whose centres lie between the first and last patch's centre."""
     before, after = (int(centre) - CELL_PX // 2 - first for centre in centres[[0, -1]])
     start = -(-before // CELL_PX)
     # A few patches close together may have no cell's middle among them: then the next one.
@@ -80,7 +90,7 @@ def _inside(centres: IndexArray, first: int) -> slice:
 
 
 def _axis(centre: int, length: int) -> tuple[int, int]:
-    """Return where the first cell of an axis begins, and how many cover the frame."""
+    """First pixel of the first cell of an axis, and number of cells that cover the frame."""
     start = centre - CELL_PX // 2
     before = -(-start // CELL_PX)
     top = start - before * CELL_PX
@@ -90,7 +100,7 @@ def _axis(centre: int, length: int) -> tuple[int, int]:
 
 
 def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
-    """Return the linear weight of every patch for every cell [cells, patches]."""
+    """Linear interpolation weight of every patch for every cell of an axis [cells, patches]."""
     at = first + CELL_PX * np.arange(cells.start, cells.stop) + CELL_PX // 2
     place = np.interp(at, centres, np.arange(len(centres)))
     return np.maximum(1 - np.abs(place[:, None] - np.arange(len(centres))), 0).astype(np.float32)
@@ -101,7 +111,7 @@ HALF_CELL_PX = CELL_PX // 2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Drawing:
-    """Draws maps of a size that cover the whole frame.
+    """Rendering of cells' values as maps of a size that cover the whole frame.
 
     Attributes
     ----------
@@ -109,7 +119,7 @@ class Drawing:
     size : (int, int)
         Rows and columns of the maps.
     quarters : ndarray, int [2 rows, 2 columns]
-        For each quarter of each half-cell, whose value it has; see `chosen_neighbours`.
+        Half-cell whose value each quarter of a half-cell has; see `chosen_neighbours`.
     """
 
     cells: Cells

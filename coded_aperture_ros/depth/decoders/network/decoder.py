@@ -1,4 +1,4 @@
-"""Decides levels by a small network that has learned what edges do to cost volumes."""
+"""Decoder of levels by a small network, trained on simulated cost volumes with depth edges."""
 
 import dataclasses
 
@@ -26,30 +26,30 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost, bounded_cost
 
-# Neighbouring half-cells whose blur sizes differ by at most this are one surface; so are those
-# whose confidences, and whose deviations in levels, differ by at most these.
+# Largest differences between neighbouring half-cells of one surface: of blur size, px, of
+# confidence, and of standard deviation, in levels.
 _ONE_SURFACE_PX = 0.8
 _ONE_CONFIDENCE = 0.1
 _ONE_DEVIATION = 0.5
-# The network knows costs of up to three frames: the sum of all past ones counts by this share.
-_OF_THE_PAST = 0.5
-# Costs that differ by less are those of a frame without any texture.
-_ALIKE = 1e-3
-# What a pixel shows may belong to its neighbours, px of the frame.
+# Weight of the past frames' cost: the network was trained on costs of up to three frames.
+_PAST_WEIGHT = 0.5
+# Largest difference of costs, natural logarithm, of a frame without texture.
+_BLANK_COST = 1e-3
+# Position error of the map, px of the frame: a pixel may show its neighbour's surface.
 _AROUND_PX = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class SizeScale:
-    """Signed blur sizes of a model's levels, equally spaced, and what they are worth.
+    """Signed blur sizes of a model's levels, equally spaced, and their tolerances.
 
     Attributes
     ----------
     levels : Levels
     order : ndarray, int [L]
-        The levels, ordered by signed blur size.
+        Levels, ordered by signed blur size.
     tolerance_px : ndarray, float32 [L]
-        By how much the blur size of each level may be wrong for 5 % of its depth.
+        Error of each level's blur size that is 5 % of its depth.
     """
 
     levels: Levels
@@ -78,7 +78,7 @@ class SizeScale:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class NetworkDecoded:
-    """What the network has decided; see `Decoded`."""
+    """Levels decided by the network; see `Decoded`."""
 
     level: FloatArray
     deviation: FloatArray
@@ -90,9 +90,9 @@ class NetworkDecoded:
     far: FloatArray  # [rows, columns]; probability of every half-cell to lie beyond the focus
     scale: SizeScale
     drawing: Drawing
-    blank: bool  # whether there is nothing to go by in the whole frame
+    blank: bool  # whether the whole frame has no texture
     unusable: BoolArray  # [map rows, map columns]; where no patch is usable
-    blind: BoolArray  # where no patch is usable and nothing else is known either
+    blind: BoolArray  # where no patch is usable, and past frames have no cost either
 
     def quantile(self, probability: float) -> FloatArray:
         """See `Decoded.quantile`; the nearest level where nothing was seen."""
@@ -100,7 +100,7 @@ class NetworkDecoded:
             return np.full(self.drawing.size, self._nearest)
         level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
         one_surface = _ONE_SURFACE_PX * float(self.scale.levels_per_px)
-        # Where nothing was seen anything may be, whatever is around.
+        # Where nothing was seen, neighbours are no evidence.
         return np.where(self.blind, self._nearest, self.drawing.render_map(level, one_surface))
 
     def nearest_around(self, probability: float) -> FloatArray | None:
@@ -110,9 +110,9 @@ class NetworkDecoded:
         level = nearest_level_around(
             level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px
         )
-        # Linear everywhere: what lies between two cells is not beyond what either says alone.
-        found = self.drawing.render_map(level)
-        return np.where(self.unusable | self.blank, self._nearest, found)
+        # Linear everywhere: a bound between two cells lies between their bounds.
+        bound = self.drawing.render_map(level)
+        return np.where(self.unusable | self.blank, self._nearest, bound)
 
     @property
     def _nearest(self) -> np.float32:
@@ -125,9 +125,9 @@ class NetworkDecoder:
     Parameters
     ----------
     levels : Levels
-        Of a model that `unsupported_reason` has nothing to say of.
+        Of a model that the network supports; see `unsupported_reason`.
     small : PatchGrid
-        Where the small patches lie, whose cost comes with that of the model's; see `small_cost`.
+        Positions of the small patches; see `small_cost`.
     sides : FocalSides, optional
         If there are levels on both sides of the focal plane.
     workers : Workers, optional
@@ -165,18 +165,18 @@ class NetworkDecoder:
         """
         if frame_cost.small is None:
             raise ValueError("the cost of the small patches is missing")
-        volume = _with_some_past(volume, frame_cost)
+        volume = _limit_past(volume, frame_cost)
         cells = Cells.covering(observation.grey.shape, observation.grid)
         features, logits = self._run(observation, volume, frame_cost, frame_cost.small, cells)
-        found = HalfCells.of(logits, self._tried_px, self._workers)
-        far = self._far_probability(found.size_px, volume, cells)
-        level, confidence, side_confidence = self._judged(found, far)
+        half_cells = HalfCells.from_logits(logits, self._tried_px, self._workers)
+        far = self._far_probability(half_cells.size_px, volume, cells)
+        level, confidence, side_confidence = self._rate(half_cells, far)
         calibration = self._network.calibration
-        deviation = found.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
+        deviation = half_cells.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
         drawing = Drawing(cells, size, chosen_neighbours(logits.neighbour))
         one_surface = _ONE_SURFACE_PX * float(self._scale.levels_per_px)
         confidence_map = drawing.render_map(confidence, _ONE_CONFIDENCE)
-        blank = bool(volume.max() <= _ALIKE)
+        blank = bool(volume.max() <= _BLANK_COST)
         if blank:
             confidence_map[:] = 0
         at = MapGrid.for_map(observation.grid, observation.grey.shape, size)
@@ -191,13 +191,15 @@ class NetworkDecoder:
             else drawing.render_map(side_confidence, _ONE_CONFIDENCE),
             logits=logits,
             features=features,
-            half_cells=found,
+            half_cells=half_cells,
             far=far,
             scale=self._scale,
             drawing=drawing,
             blank=blank,
             unusable=unusable,
-            blind=at.nearest_patch_values(~observation.usable & (volume.max(axis=-1) <= _ALIKE)),
+            blind=at.nearest_patch_values(
+                ~observation.usable & (volume.max(axis=-1) <= _BLANK_COST)
+            ),
         )
 
     def _run(
@@ -208,22 +210,22 @@ class NetworkDecoder:
         small_cost: Cost,
         cells: Cells,
     ) -> tuple[FloatArray, Logits]:
-        """Features of all cells, and what the network says of them."""
+        """Features of all cells, and the network's output for them."""
         scales = (
-            PatchScale.of(frame_cost, observation.grid, self._folding.fold_volume(volume)),
-            PatchScale.of(small_cost, self._small),
+            PatchScale.from_cost(frame_cost, observation.grid, self._folding.fold_volume(volume)),
+            PatchScale.from_cost(small_cost, self._small),
         )
-        context = LocalContext.of(observation.grey, observation.noise.typical)
+        context = LocalContext.from_frame(observation.grey, observation.noise.typical)
         sizes_px = self._folding.sizes_px
         features = cost_features(scales, context, cells, sizes_px, self._near_share, self._workers)
         return features, self._network(features, frame_features(context, cells))
 
-    def _judged(
-        self, found: HalfCells, far: FloatArray
+    def _rate(
+        self, half_cells: HalfCells, far: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Level of every half-cell, how likely it is right, and its side; [rows, columns] each."""
+        """Level, confidence and side confidence of every half-cell; [rows, columns] each."""
         sizes_px = self._scale.sizes_px
-        signed_px = np.where(far >= 0.5, found.size_px, -found.size_px)
+        signed_px = np.where(far >= 0.5, half_cells.size_px, -half_cells.size_px)
         level = self._scale.level(signed_px)
         tolerance_px = self._scale.tolerance_px[np.rint(level).astype(np.intp)]
         # One side may reach farther than the other.
@@ -236,9 +238,11 @@ class NetworkDecoder:
             side_confidence = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
             possible *= np.where(self._sides.is_ambiguous(level), 1, side_confidence)
-        probability = found.right_within(tolerance_px)
+        probability = half_cells.right_within(tolerance_px)
         calibration = self._network.calibration
-        confidence = possible * calibration.confidence(probability, found.size_px, tolerance_px)
+        confidence = possible * calibration.confidence(
+            probability, half_cells.size_px, tolerance_px
+        )
         return level, confidence, side_confidence
 
     @property
@@ -274,9 +278,9 @@ class NetworkDecoder:
 def nearest_level_around(
     level: FloatArray, levels: Levels, error: float, cell_px: float, pixel_px: float
 ) -> FloatArray:
-    """Near end, by an error in levels, of the nearest level around every cell [rows, columns].
+    """Nearest level around every cell, less an error in levels [rows, columns].
 
-    Cells are `cell_px` of the frame wide, and what is made of them has pixels of `pixel_px`.
+    `cell_px` and `pixel_px` are the sides of the cells and of the map's pixels, px of the frame.
     """
     reach = int(np.ceil((_AROUND_PX + (pixel_px - 1) / 2) / cell_px))
     square = np.ones((2 * reach + 1,) * 2, np.uint8)
@@ -286,18 +290,18 @@ def nearest_level_around(
     return np.asarray(np.minimum(cv2.dilate(level, square) + np.float32(error), last))
 
 
-def _with_some_past(volume: FloatArray, frame_cost: Cost) -> FloatArray:
-    """Cost of all frames with as much of the past as the network knows [rows, columns, L]."""
+def _limit_past(volume: FloatArray, frame_cost: Cost) -> FloatArray:
+    """Cost of all frames, with the past weighted as in training [rows, columns, L]."""
     if volume is frame_cost.volume:
         return volume
     past = volume - bounded_cost(frame_cost.volume)
-    volume = frame_cost.volume + np.float32(_OF_THE_PAST) * past
+    volume = frame_cost.volume + np.float32(_PAST_WEIGHT) * past
     volume -= volume.min(axis=-1, keepdims=True)
     return volume
 
 
 def _tolerance_px(levels: Levels) -> FloatArray:
-    """By how much the blur size of each level may be wrong for 5 % of its depth [L]."""
+    """Error of each level's blur size that is 5 % of its depth, px, float32 [L]."""
     sizes = levels.blur_sizes_px
     step_px = abs(np.mean(np.diff(sizes)))
     if levels.depths_m is None:

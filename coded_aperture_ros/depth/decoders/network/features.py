@@ -1,4 +1,4 @@
-"""Input of the network: costs on a grid of blur sizes of its own, and the frame."""
+"""Input of the network: costs resampled to fixed blur sizes, and the frame's texture."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -13,37 +13,40 @@ from coded_aperture_ros.depth.decoders.semi_global import semi_global_cost
 from coded_aperture_ros.frames import PatchGrid, window_brightness
 from coded_aperture_ros.likelihood import Cost
 
-# The refinement's own grid of blur sizes, on one side of the focal plane.
+# Fixed blur sizes of the network, px, on one side of the focal plane.
 BLUR_STEP_PX = 0.5
 LARGEST_PX = 22.0
 BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
-# Every blur size has a channel of each kind: the logarithm of its cost, of small differences of
-# it, and of the cost that semi-global matching adds up; and what stands there if it was not tried.
+# Value of a blur size that was not tried, in each of its channels: the logarithm of its cost, of
+# the cost scaled up, and of the sum by semi-global matching.
 _UNTRIED = (5.0, 2.8, 5.0)
 UNTRIED = _UNTRIED[0]
 KINDS = len(_UNTRIED)
+# Largest cost, natural logarithm.
 _MOST_COST = 140.0
-# Where there is little texture costs differ little, but those of many patches tell something.
+# Factor of the cost in the second channel: with little texture costs differ little, but those of
+# many patches together are informative.
 _FINE_SCALE = 30.0
-# Patches have two sizes: the model's, and a smaller one.
+# Sizes of patches: the model's, and a smaller one.
 N_SCALES = 2
 COST_CHANNELS = N_SCALES * KINDS * len(BLUR_SIZES_PX)
-# Beside them: the misfit of both, where there are patches of the model, texture over noise,
+# Other channels: misfit of both patch sizes, where the model has patches, texture over noise,
 # brightness, and the side of the focal plane.
 SCALARS = N_SCALES + 4
-# The frame's texture is looked at in squares of so many pixels: its channels.
+# Side of the squares whose pixels are the channels of the frame's texture, px; and half the side of
+# the box that the mean and variance are over.
 FRAME_CELL_PX = 4
 _SMOOTH_PX = 9
 
 
 def tried_sizes(sizes_px: DoubleArray) -> BoolArray:
-    """Return which of `BLUR_SIZES_PX` lie among a model's blur sizes [L], of one side."""
+    """Which of `BLUR_SIZES_PX` lie within the range of a model's blur sizes [L]."""
     sizes, margin = np.abs(sizes_px), BLUR_STEP_PX / 2
     return (sizes.min() - margin <= BLUR_SIZES_PX) & (sizes.max() + margin >= BLUR_SIZES_PX)
 
 
 def resampling(sizes_px: DoubleArray) -> FloatArray:
-    """Return the linear weights of a model's levels for every tried blur size [L, tried]."""
+    """Linear interpolation weights from a model's levels to the tried blur sizes [L, tried]."""
     sizes = np.abs(sizes_px)
     order = np.argsort(sizes)
     index = np.arange(len(sizes))
@@ -54,15 +57,17 @@ def resampling(sizes_px: DoubleArray) -> FloatArray:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PatchScale:
-    """Cost of the patches of one size."""
+    """Cost of the patches of one size, and where they lie."""
 
     volume: FloatArray  # [grid rows, grid columns, L]; cost of every level; see `Cost`
     misfit: FloatArray  # [grid rows, grid columns]; see `Cost`
     grid: PatchGrid  # where the patches lie
 
     @classmethod
-    def of(cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None) -> "PatchScale":
-        """Scale of a cost, with its own volume or another."""
+    def from_cost(
+        cls, cost: Cost, grid: PatchGrid, volume: FloatArray | None = None
+    ) -> "PatchScale":
+        """Scale of a cost, or of its misfit and another volume."""
         volume = cost.volume if volume is None else volume
         misfit = np.zeros(volume.shape[:2], np.float32) if cost.misfit is None else cost.misfit
         return cls(volume, misfit, grid)
@@ -78,8 +83,8 @@ class LocalContext:
     noise: float
 
     @classmethod
-    def of(cls, grey: FloatArray, noise: float) -> "LocalContext":
-        """Context of a frame whose noise has a standard deviation."""
+    def from_frame(cls, grey: FloatArray, noise: float) -> "LocalContext":
+        """Context of a frame [height, width] whose noise has a standard deviation."""
         side = (2 * _SMOOTH_PX + 1,) * 2
         mean = cv2.blur(grey, side)
         difference = grey - mean
@@ -114,24 +119,24 @@ def cost_features(
     start, stop = int(tried[0]), int(tried[-1]) + 1
     to_sizes = resampling(sizes_px).T
     features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
-    of_kinds = features[:COST_CHANNELS].reshape(N_SCALES, KINDS, -1, cells.rows, cells.columns)
+    cost_channels = features[:COST_CHANNELS].reshape(N_SCALES, KINDS, -1, cells.rows, cells.columns)
     for kind, untried in enumerate(_UNTRIED):
-        of_kinds[:, kind, :start] = of_kinds[:, kind, stop:] = untried
+        cost_channels[:, kind, :start] = cost_channels[:, kind, stop:] = untried
 
     def add_scale(index: int, _: int) -> None:
         scale, count = scales[index], len(sizes_px)
-        added_up = semi_global_cost(scale.volume, 1.0, window_brightness(context.grey, scale.grid))
-        found = np.empty((KINDS, count, scale.misfit.size), np.float32)
+        path_sums = semi_global_cost(scale.volume, 1.0, window_brightness(context.grey, scale.grid))
+        channels = np.empty((KINDS, count, scale.misfit.size), np.float32)
         levels = np.moveaxis(scale.volume, -1, 0).reshape(count, -1)
-        np.minimum(levels, np.float32(_MOST_COST), out=found[0])
-        np.multiply(found[0], np.float32(_FINE_SCALE), out=found[1])
-        found[2] = added_up.reshape(-1, count).T
-        found[2] -= found[2].min(axis=0)
-        found += np.float32(1)
-        np.log(found, out=found)
-        found[1] *= np.float32(1 / 3)
-        values = (to_sizes @ found).reshape(KINDS, -1, *scale.misfit.shape)
-        of_kinds[index, :, start:stop] = cells.resample_patches(values, scale.grid)[0]
+        np.minimum(levels, np.float32(_MOST_COST), out=channels[0])
+        np.multiply(channels[0], np.float32(_FINE_SCALE), out=channels[1])
+        channels[2] = path_sums.reshape(-1, count).T
+        channels[2] -= channels[2].min(axis=0)
+        channels += np.float32(1)
+        np.log(channels, out=channels)
+        channels[1] *= np.float32(1 / 3)
+        values = (to_sizes @ channels).reshape(KINDS, -1, *scale.misfit.shape)
+        cost_channels[index, :, start:stop] = cells.resample_patches(values, scale.grid)[0]
         features[COST_CHANNELS + index], known = cells.resample_patches(scale.misfit, scale.grid)
         if index == 0:
             features[COST_CHANNELS + N_SCALES] = known
@@ -150,9 +155,9 @@ def cost_features(
 
 
 def frame_features(context: LocalContext, cells: Cells) -> FloatArray:
-    """Return the frame's texture in squares of `FRAME_CELL_PX`, a channel for every pixel of them.
+    """Texture of the frame, float32 [FRAME_CELL_PX ** 2, rows, columns], a channel per pixel.
 
-    The texture is relative to its surroundings' and the noise; float32 [channels, rows, columns].
+    It is relative to the texture around it and the noise.
     """
     spread = np.sqrt(context.variance + np.float32(4 * context.noise**2))
     whole = cells.pad_frame((context.grey - context.mean) / spread)

@@ -136,7 +136,7 @@ class Network:
     def __init__(self, tried: BoolArray, workers: Workers, runtime: str = "auto") -> None:
         arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
         self._workers = workers
-        self.of_level, self.of_cells = (
+        self.level_network, self.cell_network = (
             network_of(arrays, name, runtime, workers.threads) for name in ("levels", "cells")
         )
         # The last of the blur sizes' rows is the width; each is four, one of every half-cell.
@@ -155,10 +155,10 @@ class Network:
         """Logits of the half-cells, from `cost_features` and `frame_features`."""
         tried, shape = self._tried, costs.shape[1:]
         # Logits of the half-cells of all squares, and one more channel for the other part.
-        of_level = self.of_level({"levels": self._first(costs, self._workers)})
+        of_level = self.level_network({"levels": self._first(costs, self._workers)})
         levels = np.zeros((1, len(BLUR_SIZES_PX), *shape), np.float32)
         levels[0, tried] = to_half_cells(of_level[:, -4:].reshape(-1, *of_level.shape[2:]))
-        cells = self.of_cells({"costs": costs[None], "frame": frame[None], "levels": levels})[0]
+        cells = self.cell_network({"costs": costs[None], "frame": frame[None], "levels": levels})[0]
         # Logits by the costs alone, to which the network adds.
         of_kinds = costs[:COST_CHANNELS].reshape(len(self._trust), -1, *shape)[:, tried]
         cost_logits = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)

@@ -1,4 +1,4 @@
-"""From the network's logits to blur sizes, their spread and how likely they are right."""
+"""Blur size of every half-cell, its spread and probability, from the network's logits."""
 
 import dataclasses
 
@@ -9,41 +9,59 @@ from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.network import Logits, to_half_cells
 
-# The blur size is the mean over so many bins on either side of the likeliest.
+# Bins on either side of the likeliest that the blur size is the mean over.
 REACH = 2
-# Share of errors within one standard deviation, and the surest that this is taken from.
+# Share of errors within one standard deviation, and its largest ratio to the probability.
 _WITHIN_ONE = 0.68
 _SUREST = 0.98
+# Limits of the logarithm of the mean error in px.
 _LOG_WIDTHS = (-4.0, 2.0)
-_NEVER = np.float32(1e-6)
-# Half-cells that are interpreted together: no more than a core's cache holds.
-_PLACES = 5376
+# Least probability in a division.
+_LEAST_PROBABILITY = np.float32(1e-6)
+# Half-cells that are processed together: as many as a core's cache holds.
+_CHUNK = 5376
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class HalfCells:
-    """What is found of every half-cell [rows, columns]; float32."""
+    """Blur size of every half-cell and its uncertainty; float32 [rows, columns].
 
-    size_px: FloatArray  # blur size without sign: the mean around the likeliest three
-    about: FloatArray  # probability that it is about right: that of the bins that it is the mean of
-    spread_px: FloatArray  # standard deviation of all blur sizes from it
-    width_px: FloatArray  # mean error of it, if it is about right
-    logits: FloatArray  # [tried, rows, columns]; of every blur size that was tried
-    tried_px: FloatArray  # [tried]; the blur sizes that were tried
+    Attributes
+    ----------
+    size_px : ndarray
+        Blur size without sign: the mean over the bins around the likeliest three.
+    about : ndarray
+        Probability that it is about right: the sum over these bins.
+    spread_px : ndarray
+        Standard deviation of the whole distribution from it.
+    width_px : ndarray
+        Mean error if it is about right.
+    logits : ndarray, float32 [tried, rows, columns]
+        Of every tried blur size.
+    tried_px : ndarray, float32 [tried]
+        The tried blur sizes.
+    """
+
+    size_px: FloatArray
+    about: FloatArray
+    spread_px: FloatArray
+    width_px: FloatArray
+    logits: FloatArray
+    tried_px: FloatArray
 
     @classmethod
-    def of(
+    def from_logits(
         cls, logits: Logits, tried_px: FloatArray, workers: Workers | None = None
     ) -> "HalfCells":
-        """Interpret logits; `workers` share the work."""
+        """Half-cells of the network's output; `workers` share the work."""
         flat = logits.size.reshape(len(tried_px), -1)
         steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
         sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
-        found = np.empty((3, flat.shape[1]), np.float32)
+        results = np.empty((3, flat.shape[1]), np.float32)
 
-        def interpret(first: int, _: int) -> None:
-            places = np.s_[:, first : first + _PLACES]
-            some = flat[places]
+        def add_chunk(first: int, _: int) -> None:
+            chunk = np.s_[:, first : first + _CHUNK]
+            some = flat[chunk]
             padded = np.zeros((len(some) + 2 * REACH, some.shape[1]), np.float32)
             probability = np.exp(some - some.max(axis=0), out=padded[REACH:-REACH])
             # With its neighbours: a blur size between two bins shares its probability among them.
@@ -55,35 +73,38 @@ class HalfCells:
             size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
             total, mean, square = sums @ probability
             square = (square - 2 * mean * size) / total + size**2
-            found[places] = size, about / total, np.sqrt(np.maximum(square, 0))
+            results[chunk] = size, about / total, np.sqrt(np.maximum(square, 0))
 
-        (workers or Workers()).each(interpret, range(0, flat.shape[1], _PLACES))
+        (workers or Workers()).each(add_chunk, range(0, flat.shape[1], _CHUNK))
         width = np.exp(np.clip(logits.log_width, *_LOG_WIDTHS))
-        size, about, spread = found.reshape(3, *width.shape)
+        size, about, spread = results.reshape(3, *width.shape)
         return cls(size, about, spread, width, logits.size, tried_px)
 
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
-        """Return how likely the blur size is right to a tolerance [rows, columns]."""
+        """Probability that the error is within a tolerance [rows, columns]."""
         return np.asarray(self.about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
 
     def deviation_px(self) -> FloatArray:
-        """Return the distance that errors are within as often as within a standard deviation."""
+        """Standard deviation of the blur size [rows, columns]: 68 % of errors are within it."""
         share = np.minimum(_WITHIN_ONE / self.about, _SUREST)
         deviation = -self.width_px * np.log1p(-share)
-        # Where the likeliest is not likely, errors are as large as the others are far.
+        # Where the likeliest size is improbable, the error is the spread over all sizes.
         larger = np.maximum(deviation, self.spread_px)
         return np.where(self.about < _WITHIN_ONE, larger, deviation)
 
     def nearest_px(self, probability: float, far: FloatArray) -> FloatArray:
-        """Return the signed size with so much probability nearer; `far`: that of lying beyond."""
-        share, doubt = np.float32(probability), np.maximum(1 - far, _NEVER)
-        # Before the focal plane the nearer surface is the more blurred one.
-        before = -self.quantile_px(1 - np.minimum(share / doubt, 1))
-        beyond = self.quantile_px((share - doubt) / np.maximum(far, _NEVER))
-        return np.where(doubt < share, beyond, before)
+        """Signed blur size, px, with a given probability of being nearer [rows, columns].
+
+        `far` is the probability of lying beyond the focal plane [rows, columns].
+        """
+        share, front = np.float32(probability), np.maximum(1 - far, _LEAST_PROBABILITY)
+        # In front of the focal plane the nearer surface is the more blurred one.
+        before = -self.quantile_px(1 - np.minimum(share / front, 1))
+        beyond = self.quantile_px((share - front) / np.maximum(far, _LEAST_PROBABILITY))
+        return np.where(front < share, beyond, before)
 
     def quantile_px(self, share: float | NDArray[np.floating]) -> FloatArray:
-        """Return the blur size that the true one is below with a probability [rows, columns]."""
+        """Quantile of the unsigned blur size, px [rows, columns]."""
         probability = np.exp(self.logits - self.logits.max(axis=0))
         left = share * probability.sum(axis=0)
         rank = np.zeros(left.shape, np.intp)
@@ -94,9 +115,10 @@ class HalfCells:
 
 
 def chosen_neighbours(neighbour: NDArray[np.uint8]) -> IndexArray:
-    """Return for each quarter of each half-cell whose blur size it has [2 rows, 2 columns].
+    """Half-cell whose blur size each quarter of a half-cell has [2 rows, 2 columns].
 
-    From `Logits.neighbour` [4, rows, columns], as flat indices into all with a border of one.
+    Flat indices into the half-cells with a border of one, from `Logits.neighbour` [4, rows,
+    columns].
     """
     _, rows, columns = neighbour.shape
     corner = np.add.outer((columns + 2) * np.arange(rows), np.arange(columns))

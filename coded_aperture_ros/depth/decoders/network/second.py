@@ -1,4 +1,4 @@
-"""Two surfaces in one window: nets, leaves and panes before something farther away."""
+"""Second surface in a window, as of nets, leaves and panes in front of something else."""
 
 import dataclasses
 from collections.abc import Callable
@@ -14,27 +14,27 @@ from coded_aperture_ros.depth.decoders.network.network import Logits, to_half_ce
 WEIGHTS = "second.npz"
 SCHEMA = "coded-aperture second surface network"
 SCHEMA_VERSION = 1
-# Of every cell: logits of the blur sizes of the less and of the more blurred surface, of there
-# being two, and of the share of the former.
+# Outputs for every cell: logits of the blur sizes of the less and of the more blurred surface, log-
+# odds of two surfaces, and log-odds of the share of the less blurred one.
 CHANNELS = 2 * len(BLUR_SIZES_PX) + 2
-# Logarithm of the odds above which there are two, of weights' files that state none.
+# Log-odds above which there are two surfaces, for weights' files that state none.
 LEAST_ODDS = 0.6
-# A blur size is the mean over so many bins on either side of the likeliest, as those of pixels.
+# Bins on either side of the likeliest that a blur size is the mean over.
 _REACH = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Pair:
-    """The two surfaces that windows of 48 px around cells show; float32 [rows, columns]."""
+class SurfacePair:
+    """Two surfaces in the window of 48 px around each cell; float32 [rows, columns]."""
 
-    odds: FloatArray  # logarithm of the odds that there are two
-    less_px: FloatArray  # blur sizes, without sign, of the less and of the more blurred one
-    more_px: FloatArray
-    share: FloatArray  # of the window, 0 to 1, that the less blurred one takes
-    least_odds: float = LEAST_ODDS  # above which there are two
+    odds: FloatArray  # log-odds that there are two
+    less_px: FloatArray  # unsigned blur size of the less blurred one
+    more_px: FloatArray  # unsigned blur size of the more blurred one
+    share: FloatArray  # share of the window that the less blurred one covers, 0 to 1
+    least_odds: float = LEAST_ODDS  # log-odds above which there are two
 
-    def map_values(self, draw: Callable[[FloatArray], FloatArray]) -> "Pair":
-        """Return what a function makes of each map."""
+    def map_values(self, draw: Callable[[FloatArray], FloatArray]) -> "SurfacePair":
+        """Pair with a function applied to each map, such as a resampling."""
         return dataclasses.replace(
             self,
             odds=draw(self.odds),
@@ -44,20 +44,20 @@ class Pair:
         )
 
     def other_surface(self, size_px: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return blur size and share of the surface beside one of these sizes; NaN without one."""
+        """Blur size and share of the surface other than that of `size_px`; NaN if there is one."""
         is_less = np.abs(size_px - self.less_px) < np.abs(size_px - self.more_px)
-        found_px = np.where(is_less, self.more_px, self.less_px)
+        other_px = np.where(is_less, self.more_px, self.less_px)
         share = np.where(is_less, 1 - self.share, self.share)
         one = self.odds < np.float32(self.least_odds)
-        found_px[one] = np.nan
+        other_px[one] = np.nan
         share[one] = np.nan
-        return found_px, share
+        return other_px, share
 
 
 class SecondSurface:
-    """Finds the pairs of surfaces of frames, from what the refinement makes of them.
+    """Finds the pairs of surfaces of a frame, from the outputs of the refinement network.
 
-    By a small network of its own, which OpenCV runs; see `training/second.py`. `tried` [blur
+    With a small network of its own, which OpenCV runs; see `training/second.py`. `tried` [blur
     sizes] as of `Network`. Not for several threads at once.
     """
 
@@ -67,13 +67,13 @@ class SecondSurface:
         self._tried = tried
         self._least_odds = float(arrays.get("least_odds", np.array(LEAST_ODDS)))
 
-    def __call__(self, logits: Logits, scalars: FloatArray) -> Pair:
-        """Return the pairs, from logits and the last of `cost_features` [n, rows, columns]."""
-        shown = np.concatenate([*in_cells(logits.size, self._tried), scalars, logits.cells])
-        told = self._network({"shown": shown[None]})[0]
-        told = to_half_cells(told)  # of squares of 16 px
-        less, more, (odds, share) = np.split(told, len(BLUR_SIZES_PX) * np.arange(1, 3))
-        return Pair(
+    def __call__(self, logits: Logits, scalars: FloatArray) -> SurfacePair:
+        """Pairs of a frame, from logits and the scalar `cost_features` [SCALARS, rows, columns]."""
+        probabilities = cell_probabilities(logits.size, self._tried)
+        features = np.concatenate([*probabilities, scalars, logits.cells])
+        outputs = to_half_cells(self._network({"shown": features[None]})[0])  # of squares of 16 px
+        less, more, (odds, share) = np.split(outputs, len(BLUR_SIZES_PX) * np.arange(1, 3))
+        return SurfacePair(
             odds,
             _mean_around_best(less),
             _mean_around_best(more),
@@ -82,10 +82,10 @@ class SecondSurface:
         )
 
 
-def in_cells(size: FloatArray, tried: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Return mean and largest probability of the blur sizes over the four half-cells of each cell.
+def cell_probabilities(size: FloatArray, tried: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and largest probability over the half-cells of each cell [blur sizes, rows, columns].
 
-    Takes logits [tried, 2 rows, 2 columns] and gives [blur sizes, rows, columns].
+    Takes logits [tried, 2 rows, 2 columns].
     """
     probability = np.exp(size - size.max(axis=0))
     probability /= probability.sum(axis=0)
@@ -97,10 +97,10 @@ def in_cells(size: FloatArray, tried: BoolArray) -> tuple[FloatArray, FloatArray
 
 
 def _mean_around_best(logits: FloatArray) -> FloatArray:
-    """Return the mean blur size around the likeliest, from logits [blur sizes, rows, columns]."""
+    """Mean blur size around the likeliest, px, from logits [blur sizes, rows, columns]."""
     around = logits.argmax(axis=0) + np.arange(-_REACH, _REACH + 1)[:, None, None]
     around = np.clip(around, 0, len(logits) - 1)
     weights = np.take_along_axis(logits, around, axis=0)
     weights = np.exp(weights - weights.max(axis=0))
-    found = (weights * BLUR_SIZES_PX[around]).sum(axis=0) / weights.sum(axis=0)
-    return found.astype(np.float32)
+    mean_px = (weights * BLUR_SIZES_PX[around]).sum(axis=0) / weights.sum(axis=0)
+    return mean_px.astype(np.float32)

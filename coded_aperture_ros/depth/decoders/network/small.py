@@ -1,4 +1,4 @@
-"""The likelihood of small patches, beside that of the model's: they see edges more sharply."""
+"""Likelihood of small patches, which resolve depth edges better than the model's."""
 
 from weakref import WeakKeyDictionary
 
@@ -12,9 +12,9 @@ from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
 from coded_aperture_ros.likelihood.bank import FilterBank, relearn_bank
 
-# Side of the small patches: most blur still fits in.
+# Side of the small patches, px: most PSFs still fit in.
 SMALL_PX = 32
-# Banks that were learned already: learning takes a second, and settings change more often.
+# Small bank of each bank: learning takes a second, and settings change more often.
 _LEARNED: WeakKeyDictionary[FilterBank, FilterBank] = WeakKeyDictionary()
 
 
@@ -29,7 +29,7 @@ def small_bank(bank: FilterBank) -> FilterBank:
 
 
 def keep_small_bank(bank: FilterBank, small: FilterBank) -> None:
-    """Take a small bank that was learned before for that of a bank."""
+    """Store the small bank of a bank, if it was learned before."""
     _LEARNED[bank] = small
 
 
@@ -46,7 +46,8 @@ def small_cost(
         Of the frame.
     grey : ndarray, float32 [height, width]
     noise : float, or ndarray, float32 [rows, columns]
-        Standard deviation of the noise of `grey`, of all or around every patch of the model.
+        Standard deviation of the noise of `grey`, of the whole frame or around every patch of the
+        model.
     """
     nearest = _nearest_patches(observation.grid, small.grid)
     if isinstance(noise, np.ndarray):
@@ -68,6 +69,7 @@ def _nearest_patches(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:
     return np.ix_(rows, columns)
 
 
+# Ranges that the network was trained for, px.
 _WINDOWS_PX = (32, 72)
 _STRIDES_PX = (4, 12)
 _LARGEST_STEP_PX = 0.8
@@ -97,6 +99,7 @@ def small_patches_bank(model: LikelihoodModel, stride_px: int) -> FilterBank | N
 
 
 def _unsupported_blur(bank: FilterBank) -> str:
+    """Why the network was not trained for a bank's blur sizes and PSFs; empty if it was."""
     stack = bank.stack
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
