@@ -23,7 +23,7 @@ from coded_aperture_ros.frames import Frame, KnownNoise
 from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel
 from coded_aperture_ros.optics import Camera
 
-# A mask with less asymmetry, as `Mask.asymmetry` has it, does not tell the sides.
+# Least `Mask.asymmetry` of a mask that distinguishes the sides of the focal plane.
 _LEAST_ASYMMETRY = 0.05
 
 
@@ -55,18 +55,18 @@ class DepthEstimator:
     Parameters
     ----------
     model : LikelihoodModel
-        A filter bank, or what another method knows about the mask.
+        A filter bank, or the model of another method.
     config : DepthConfig, optional
     camera : Camera, optional
-        Turns blur sizes into metres, unless the model was learned from PSFs or planes of measured
-        depths, which say it themselves. Its noise stands in for that of the configuration.
+        Converts blur sizes to metres, unless the model has measured depths. Its noise is used if
+        the configuration states none.
     regularize : Regularizer, optional
         In place of the one that the configuration names.
     second_focus : SecondFocus, optional
-        Adds what a second frame says whose focus is elsewhere; see `FocusPair`.
+        Adds the cost of a second frame at another focus distance; see `FocusPair`.
     patches_tell_sides : bool, optional
-        Whether costs tell the sides of the focal plane apart patch by patch, as those of two focus
-        settings do.
+        Whether costs alone distinguish the sides of the focal plane, as those of two focus settings
+        do.
 
     Raises
     ------
@@ -229,23 +229,62 @@ class DepthEstimator:
 
 
 def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
-    """Line for users if the configuration asks for the network and another stands in for it."""
+    """Note for users if the network is chosen but does not support the model; else None.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+    config : DepthConfig
+
+    Returns
+    -------
+    str or None
+        One line: what is used instead, and why.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
+    >>> refinement_note(bank, DepthConfig()) is None
+    True
+    """
     if config.regularize != LEARNED:
         return None
     why = unsupported_reason(model, config.stride_px or model.stride_px)
     if not why:
         if config.second_surface and model.stack.has_both_sides:
-            return "second_surface: nothing is told with levels on both sides of the focal plane"
+            return "second_surface: not found with levels on both sides of the focal plane"
         return None
     return (
         "regularize: semiglobal in place of learned, which was not trained for this model: "
-        f"{why}{'; it tells of no free space' if config.free_space_risk else ''}"
-        f"{'; it tells of no second surface' if config.second_surface else ''}"
+        f"{why}{'; no free-space bound' if config.free_space_risk else ''}"
+        f"{'; no second surface' if config.second_surface else ''}"
     )
 
 
 def side_warning(model: LikelihoodModel) -> str | None:
-    """Line for users if a model has levels on both sides that its mask does not tell apart."""
+    """Warning for users if a mask does not distinguish the sides that a model has; else None.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+
+    Returns
+    -------
+    str or None
+        One line, with the remedy.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 9, 15)))
+    >>> side_warning(bank) is None
+    True
+    """
     stack = model.stack
     if not stack.has_both_sides:
         return None

@@ -19,23 +19,35 @@ from coded_aperture_ros.optics import Camera, render_psf_stack
 
 
 class FocusPair:
-    """Adds what two frames say: the costs of the same depths, whatever their blur in each.
+    """Depth from two frames at two focus distances, by the sum of their costs of equal depths.
 
     That is ``C(z) = C_1(S_1(z)) + C_2(S_2(z))``, with the blur sizes ``S`` of the two settings.
-    Where one frame cannot tell the sides of its focal plane apart, the other can.
+    Where one frame does not distinguish the sides of its focal plane, the other does.
 
     Parameters
     ----------
     estimator : DepthEstimator
         Of the first frame, for single frames; its bank was learned from its camera's mask.
     focus_m : float
-        Where the second frame is in focus.
+        Focus distance of the second frame, m.
 
     Raises
     ------
     InputError
         If the bank's PSFs are not those of the camera's mask, or there is too much blur at the
         second focus.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(640.0, 1.0, 128, 96, Mask.named("levin"), 46.0)
+    >>> bank = learn_bank_for_camera(camera, 1.15, 2.4, 12)
+    >>> pair = FocusPair(DepthEstimator(bank, camera=camera), 1.2)
+    >>> first, second = np.random.default_rng(0).random((2, 96, 128), np.float32)
+    >>> pair.estimate(first, second).depth_m.shape
+    (96, 128)
     """
 
     def __init__(self, estimator: DepthEstimator, focus_m: float) -> None:
@@ -46,7 +58,8 @@ class FocusPair:
         self._scale = camera.focal_length_px / refocused.focal_length_px
         other_camera = dataclasses.replace(camera, focus_distance_m=focus_m, side="both")
         other_bank = _bank_of_second_focus(bank, other_camera, depths_m)
-        # What has levels on one side only need not find out which: it decides, if it can as well.
+        # A frame with levels on one side only need not find the side: it decides where the network
+        # supports its bank.
         one_sided = bank.stack.has_both_sides and not other_bank.stack.has_both_sides
         reason = unsupported_reason(other_bank, other_bank.stride_px)
         self._second_decides = one_sided and not reason
@@ -66,8 +79,15 @@ class FocusPair:
     ) -> DepthEstimate:
         """Depth of every pixel of the first frame; see `DepthEstimator.estimate`.
 
-        Nothing may move between the two frames. If one does not fit, neither is trusted. The levels
-        and blur sizes may be those of the second frame: only the depths are of both.
+        The scene must be static. If one frame does not fit its bank, the estimate has the lower
+        health. Levels and blur sizes may be those of the second frame; depths are valid for both.
+
+        Parameters
+        ----------
+        first, second : Frame or ndarray, float32 [rows, columns] or [rows, columns, 3]
+            Linear light of equal size, at the two focus distances.
+        size : (int, int), optional
+            Rows and columns of the maps; the frames' by default.
 
         Raises
         ------
@@ -89,27 +109,28 @@ class FocusPair:
         self._estimator.close()
 
     def _at_scale(self, frame: FloatArray) -> FloatArray:
-        """Frame at the scale of the first one; NaN where it did not see anything."""
+        """Second frame at the scale of the first; NaN beyond its view."""
         if abs(self._scale - 1) * max(frame.shape[:2]) < 0.5:  # less than a pixel at the edges
             return frame
         moved = np.column_stack([np.eye(2) * self._scale, self._middle * (1 - self._scale)])
-        # Linear interpolation would take away half of the noise. What was not seen is left out.
-        how = {"flags": cv2.INTER_LANCZOS4, "borderValue": (np.nan,) * 3}
-        return np.asarray(cv2.warpAffine(frame, moved, frame.shape[1::-1], **how))
+        # Linear interpolation would remove half of the noise. NaN pixels count as missing.
+        options = {"flags": cv2.INTER_LANCZOS4, "borderValue": (np.nan,) * 3}
+        return np.asarray(cv2.warpAffine(frame, moved, frame.shape[1::-1], **options))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _AddedFocus:
-    """Adds what the frame says that does not decide; see `SecondFocus`."""
+    """Adds the cost of the frame that does not decide; see `SecondFocus`."""
 
-    estimator: DepthEstimator  # of that frame
+    estimator: DepthEstimator  # of the frame that does not decide
     folding: Folding  # of the levels of the frame that decides
 
     def add(self, cost: Cost, frame: Frame) -> tuple[Cost, Health | None]:
         work = self.estimator.run_front(frame)
         self.estimator.run_back(work)
-        own = Folding.from_sizes(self.estimator.model.stack.blur_sizes_px)
-        return _added(cost, work.frame_cost, self.folding, own), work.health
+        other_folding = Folding.from_sizes(self.estimator.model.stack.blur_sizes_px)
+        total = _sum_of_costs(cost, work.frame_cost, self.folding, other_folding)
+        return total, work.health
 
     def close(self) -> None:
         self.estimator.close()
@@ -141,23 +162,27 @@ def _bank_of_second_focus(bank: FilterBank, camera: Camera, depths_m: DoubleArra
     return dataclasses.replace(model, stride_px=bank.stride_px)
 
 
-def _added(own: Cost, other: Cost, folding: Folding, of_other: Folding) -> Cost:
-    """Return the cost of one frame with that of another added, level by level."""
+def _sum_of_costs(cost: Cost, other: Cost, folding: Folding, other_folding: Folding) -> Cost:
+    """Cost of two frames together, level by level."""
     small = None
-    if own.small is not None:  # of sizes without sign
-        of_levels = own.small.volume[..., _places(folding)]
+    if cost.small is not None:  # of sizes without sign
+        volume = cost.small.volume[..., _size_of_levels(folding)]
         if other.small is not None:
-            of_levels = of_levels + other.small.volume[..., _places(of_other)]
-        small = dataclasses.replace(own.small, volume=_from_least(folding.fold_volume(of_levels)))
-    return dataclasses.replace(own, volume=_from_least(own.volume + other.volume), small=small)
+            volume = volume + other.small.volume[..., _size_of_levels(other_folding)]
+        small_volume = _subtract_least(folding.fold_volume(volume))
+        small = dataclasses.replace(cost.small, volume=small_volume)
+    volume = _subtract_least(cost.volume + other.volume)
+    return dataclasses.replace(cost, volume=volume, small=small)
 
 
-def _places(folding: Folding) -> IndexArray:
-    """Return which of the folded sizes every level has [L]."""
-    places = np.empty(max(folding.far.max(), folding.near.max()) + 1, np.intp)
-    places[folding.far] = places[folding.near] = np.arange(len(folding.far))
-    return places
+def _size_of_levels(folding: Folding) -> IndexArray:
+    """Index of the folded size of every level [L]."""
+    sizes = np.empty(max(folding.far.max(), folding.near.max()) + 1, np.intp)
+    sizes[folding.far] = np.arange(len(folding.far))
+    sizes[folding.near] = np.arange(len(folding.far))
+    return sizes
 
 
-def _from_least(volume: FloatArray) -> FloatArray:
+def _subtract_least(volume: FloatArray) -> FloatArray:
+    """Cost of every level above the least of each patch [rows, columns, L]."""
     return np.asarray(volume - volume.min(axis=-1, keepdims=True))

@@ -1,4 +1,4 @@
-"""Layers: what may be known of every pixel beside its depth."""
+"""Layers: further results for every pixel beside its depth."""
 
 import dataclasses
 from typing import Literal
@@ -23,8 +23,8 @@ class LayerSpec:
         ``m``, ``px``, or empty for probabilities and shares.
     kind : str
         ``depth``: distance along the axis, limited to the published range like depth itself;
-        ``bound``: distance that what is seen is nearer than; ``probability`` and ``share``: 0 to
-        1; ``vector``: right and down.
+        ``bound``: free-space bound, a distance; ``probability`` and ``share``: 0 to 1; ``vector``:
+        right and down.
     encoding : str
         Of the ROS image.
     points : str
@@ -58,7 +58,7 @@ class LayerSpec:
 
     @property
     def file_suffix(self) -> str:
-        """What stands between the name of a depth map and its extension, in files of the layer."""
+        """Part of a file's name between that of the depth map and the extension."""
         return "." + self.name.replace("/", ".")
 
 
@@ -72,7 +72,7 @@ class Layer:
     values : ndarray, float32 [rows, columns] or, of vectors, [rows, columns, 2]
         NaN where unknown.
     note : str
-        What else there is to say of them, in words.
+        Remark on the values, for people.
     """
 
     spec: LayerSpec

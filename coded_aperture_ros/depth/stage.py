@@ -1,4 +1,4 @@
-"""The interface of the stages that a frame goes through."""
+"""Interface of the stages of the depth estimate."""
 
 import dataclasses
 import time
@@ -23,18 +23,18 @@ from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
 
 
 class SecondFocus(Protocol):
-    """Adds what a second frame says whose focus is elsewhere; see `FocusPair`."""
+    """Adds the cost of a second frame at another focus distance; see `FocusPair`."""
 
     def add(self, cost: Cost, frame: Frame) -> tuple[Cost, Health | None]:
         """Cost of both frames together, and how well the second fits its bank."""
 
     def close(self) -> None:
-        """Let go of threads."""
+        """Release threads."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
-    """What is the same for all frames of one size.
+    """Everything that is equal for all frames of one size.
 
     Attributes
     ----------
@@ -79,7 +79,7 @@ class Plan:
 
 @dataclasses.dataclass(eq=False)
 class Work:
-    """One frame's way through the stages: each reads what is there, and adds what it finds.
+    """State of one frame between the stages: each reads fields, and sets others.
 
     Fields without a default are set by the stage that is named beside them.
     """
@@ -158,11 +158,11 @@ class Block:
     Attributes
     ----------
     works : sequence of Work
-        All of them; the last ones were seen only for the sake of those before.
+        In order; the last ones are look-ahead for those before.
     new : int
-        Number of those at the end that no block before this one had.
+        Number of frames at the end that no earlier block had.
     finished : int
-        Number of those at the beginning that leave with this block.
+        Number of frames at the beginning that are complete with this block.
     """
 
     works: Sequence[Work]
@@ -173,18 +173,18 @@ class Block:
 class Stage:
     """One step of the work on a frame; the stages of a plan are called in order.
 
-    A stage that remembers frames of a video overrides `reset`, and `both_ways` for recorded
-    videos, whose frames it knows before and after each.
+    A stage with memory of a video overrides `reset`, and `both_ways` for recorded videos, where the
+    frames before and after each are known.
     """
 
     name: str  # of its time in diagnostics and JSON
 
     def __call__(self, work: Work) -> None:
-        """Read what is there, add what is found."""
+        """Read fields of `work`, and set those of this stage."""
         raise NotImplementedError
 
     def both_ways(self, block: Block) -> None:
-        """Do the same for every frame of a block, with regard to those before and after it."""
+        """Process every frame of a block, using those before and after it."""
         for work in block.works:
             self(work)
 
@@ -192,14 +192,14 @@ class Stage:
         """Forget the frames so far: the next one begins another video."""
 
     def close(self) -> None:
-        """Let go of threads and memory of devices."""
+        """Release threads and device memory."""
 
 
 class StageModule(Protocol):
-    """What the file of a stage defines."""
+    """Interface of a stage's file."""
 
-    LAYERS: tuple[LayerSpec, ...]  # what the stage may add
-    # Option, or attribute of the plan, without which there is no such stage; empty: always.
+    LAYERS: tuple[LayerSpec, ...]  # layers that the stage may add
+    # Option, or attribute of the plan, that enables the stage; empty: always enabled.
     WHEN: str
 
     def make(self, plan: Plan, config: Any) -> Stage:
@@ -210,9 +210,9 @@ class StageModule(Protocol):
 
 
 def run(stages: Iterable[Stage], work: Work) -> None:
-    """Call stages in order, and note how long each took.
+    """Call stages in order, and record the time of each in `work.seconds`.
 
-    Times of its parts that a stage has noted itself are not counted a second time.
+    Times of its parts that a stage has recorded itself are not counted twice.
     """
     for stage in stages:
         began_s, noted_s = time.perf_counter(), sum(work.seconds.values())

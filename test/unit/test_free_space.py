@@ -165,7 +165,7 @@ def test_where_the_network_was_not_trained_nothing_is_promised():
     camera = camera_of("far")
     bank = learn_bank_for_camera(camera, *RANGE_M, 5)
     config = DepthConfig(free_space_risk=0.01)
-    assert refinement_note(bank, config).endswith("it tells of no free space")
+    assert refinement_note(bank, config).endswith("no free-space bound")
     assert "free space" not in refinement_note(bank, DepthConfig())
     frame = natural_texture(SHAPE, seed=2)
     bound = DepthEstimator(bank, config, camera).estimate(frame).values("free_space")

@@ -18,12 +18,12 @@ def make(plan: Plan, config: object) -> Stage:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class FocalSide(Stage):
-    """Lets levels of the less likely side cost more."""
+    """Raises the cost of the levels on the less likely side."""
 
     sides: FocalSides
     name = "focal side"
 
     def __call__(self, work: Work) -> None:
-        """Weigh the cost of the levels by what the phase says."""
+        """Add the phase's log-odds of the sides to the cost."""
         volume = self.sides.weigh(work.frame_cost.volume, work.observation, work.grey)
         work.frame_cost = dataclasses.replace(work.frame_cost, volume=volume)

@@ -23,10 +23,10 @@ class AddSecondFocus(Stage):
     name = "focus pair"
 
     def __call__(self, work: Work) -> None:
-        """Add what the second frame says, if there is one."""
+        """Add the cost of the second frame, if there is one."""
         if work.frame.refocused is not None:
             work.frame_cost, work.health = self.second.add(work.frame_cost, work.frame.refocused)
 
     def close(self) -> None:
-        """Let go of the threads for the second frame."""
+        """Release the threads for the second frame."""
         self.second.close()

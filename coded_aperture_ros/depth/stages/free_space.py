@@ -1,4 +1,4 @@
-"""Free-space bound: a distance that what is seen is nearer than at a stated risk only."""
+"""Free-space bound: a distance that the scene is nearer than only at a stated risk."""
 
 import dataclasses
 
@@ -21,8 +21,8 @@ FREE_SPACE = LayerSpec(
 )
 LAYERS: tuple[LayerSpec, ...] = (FREE_SPACE,)
 WHEN = "free_space_risk"
-# This share of the probability of the blur sizes, times a power of the risk, lies before the bound:
-# on random scenes of the kind and with the mask that it suits least no more pixels are nearer.
+# Factor and exponent of the risk that give the quantile of the blur size for the bound. Fitted so
+# that, on the least favourable kind of random scenes and mask, no more pixels are nearer.
 _SHARE = 1.2
 _POWER = 0.7
 
@@ -57,9 +57,9 @@ class FreeSpace(Stage):
     def __call__(self, work: Work) -> None:
         """Add the bound."""
         bound = np.full_like(work.level, self.levels.nearest_first[0])
-        found = work.decoded.nearest_around(_SHARE * self.risk**_POWER)
-        if found is not None:
-            bound = np.where(work.doubted, bound, self.levels.nearer(work.level, found))
+        nearest = work.decoded.nearest_around(_SHARE * self.risk**_POWER)
+        if nearest is not None:
+            bound = np.where(work.doubted, bound, self.levels.nearer(work.level, nearest))
         bound_m = self.levels.depth_m(bound)
         if bound_m is not None:
             work.add_layer(FREE_SPACE, bound_m)

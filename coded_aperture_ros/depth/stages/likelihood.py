@@ -59,5 +59,5 @@ class CostOfLevels(Stage):
             work.seconds[part] = work.seconds.get(part, 0.0) + seconds
 
     def close(self) -> None:
-        """Let go of the likelihood's threads and memory."""
+        """Release the likelihood's threads and memory."""
         self.likelihood.close()

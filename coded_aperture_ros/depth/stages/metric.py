@@ -23,6 +23,6 @@ class Metric(Stage):
     name = "metric"
 
     def __call__(self, work: Work) -> None:
-        """Look up what the levels mean."""
-        found = self.levels.metric_maps(work.level, work.deviation, work.unknown)
-        work.level, work.blur_size_px, work.depth_m, work.std_dev_m = found
+        """Replace levels that are unknown, and set blur size, depth and standard deviation."""
+        maps = self.levels.metric_maps(work.level, work.deviation, work.unknown)
+        work.level, work.blur_size_px, work.depth_m, work.std_dev_m = maps

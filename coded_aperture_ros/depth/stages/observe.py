@@ -1,4 +1,4 @@
-"""The frame by itself: grey, patches, noise."""
+"""Grey image, patches and noise of a frame."""
 
 import dataclasses
 
@@ -14,7 +14,7 @@ WHEN = ""
 
 @dataclasses.dataclass(frozen=True)
 class ObserveConfig:
-    """What is known of the frames."""
+    """Noise and saturation of the frames."""
 
     noise: float = option(
         0.0,
@@ -59,7 +59,7 @@ class Observe(Stage):
     name = "observe"
 
     def __call__(self, work: Work) -> None:
-        """Look at a frame by itself."""
+        """Set observation and grey image."""
         frame = work.frame
         grey, unusable = grey_image(frame.light, self.saturation)
         least_noise = max(self.least_noise, frame.compression_noise)
@@ -69,6 +69,6 @@ class Observe(Stage):
         work.grey = grey
 
     def both_ways(self, block: Block) -> None:
-        """Look at the frames that no block before had."""
+        """Observe the frames that no earlier block had."""
         for work in block.works[len(block.works) - block.new :]:
             self(work)

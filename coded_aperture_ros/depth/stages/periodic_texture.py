@@ -19,11 +19,12 @@ from coded_aperture_ros.likelihood.bank.prior import periodic_levels
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = ""
-# What is left of the confidence: such depth is hardly ever right.
+# Confidence at periodic texture: such depth is right about as often as a guess.
 CHANCE_CONFIDENCE = np.float32(0.2)
-# Blur sizes that differ by less, or by a step from level to level, are no other depth.
+# Least difference of blur sizes of another depth, px; at least the step between levels.
 _APART_PX = 1.5
-# Of the patches around so many have to say so: next to edges single ones do.
+# Side of the box around a patch, px, and share of the patches in it that have to look periodic:
+# near edges single ones do.
 _AROUND_PX = 104
 _AGREE = 0.75
 
@@ -41,7 +42,7 @@ class PeriodicTexture(Stage):
     name = "periodic texture"
 
     def __call__(self, work: Work) -> None:
-        """Compare the level that was found with what periodic texture says."""
+        """Compare the cost of the estimated level with that of periodic texture."""
         if work.frame_cost.periodic is None:
             return
         observation, at = work.observation, work.map_grid
@@ -62,10 +63,10 @@ class PeriodicTexture(Stage):
 def may_be_periodic(
     cost: Cost, usable: BoolArray, level: FloatArray, sizes_px: DoubleArray, grid: PatchGrid
 ) -> BoolArray:
-    """Return where periodic texture at another depth explains what is seen as well.
+    """Patches that periodic texture at another depth explains as well [rows, columns].
 
-    For the `cost` of a frame, which patches are `usable`, the fractional level that was found for
-    each [rows, columns], and the blur sizes of the levels [L].
+    Takes the `cost` of a frame, which patches are `usable`, the estimated fractional level of each
+    [rows, columns], and the blur sizes of the levels [L], px.
     """
     assert cost.periodic is not None
     sizes = np.abs(sizes_px).astype(np.float32)

@@ -30,5 +30,5 @@ class SmallPatches(Stage):
         work.frame_cost = dataclasses.replace(work.frame_cost, small=small)
 
     def close(self) -> None:
-        """Let go of the likelihood's threads and memory."""
+        """Release the likelihood's threads and memory."""
         self.likelihood.close()

@@ -1,4 +1,4 @@
-"""Where depth is unknown, and what stands there."""
+"""Threshold of the confidence: where depth is unknown, and its fill."""
 
 import dataclasses
 
