@@ -19,7 +19,7 @@ from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.depth import side_warning
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.design.setting import resolutions_m
-from coded_aperture_ros.frames import linear_from_pixels
+from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     EmpiricalPrior,
@@ -228,7 +228,7 @@ def _prior(args: Arguments) -> NaturalImagePrior:
     pictures = captures(open_files(args.images))
     with naming(args.images):
         return EmpiricalPrior.from_images(
-            linear_from_pixels(picture.frame, args.gamma) for picture in pictures
+            PixelFormat(args.gamma).light(picture.frame) for picture in pictures
         )
 
 

@@ -1,5 +1,8 @@
 """Which options need or exclude each other: a table for each command, checked in one place.
 
+What depends on the files that the options name is checked where the files are read. What an option
+of the library needs, for commands and nodes alike, is its `needs`; see `core.options`.
+
 A condition is an option that has another value than its default, ``--motion``, or one with a
 certain value, ``--method two_pixel``. Alternatives are written ``--motion | --method motion``, what
 must hold together ``--level-count & --remap``. A name that ends in ``.*``, such as ``two_pixel.*``,

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.frames.frame import PixelFormat
 from coded_aperture_ros.frames.light import (
     Gamma,
     decode_picture,
-    linear_from_pixels,
     pixels_from_linear,
     quantisation_sigma,
 )
@@ -90,7 +90,7 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
     ...     round(float(read_image(file)[0, 0]), 4)
     0.25
     """
-    return linear_from_pixels(read_compressed(path)[0], gamma)
+    return PixelFormat(gamma).light(read_compressed(path)[0])
 
 
 def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:

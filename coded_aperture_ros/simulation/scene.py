@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames import SRGB, linear_from_pixels
+from coded_aperture_ros.frames import SRGB, PixelFormat
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation.hidden import fill_unknown
 from coded_aperture_ros.simulation.render import render_coded_frame
@@ -124,7 +124,7 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
     measured = np.isfinite(disparity) & (disparity > 0)
     distance_px = np.where(measured, disparity, np.nan) + _MOTORCYCLE_DISPARITY_OFFSET_PX
     depth_m = fill_unknown(_MOTORCYCLE_FOCAL_PX * _MOTORCYCLE_BASELINE_M / distance_px)
-    image = linear_from_pixels(left, SRGB)
+    image = PixelFormat(SRGB).light(left)
     height, width = depth_m.shape
     size = round(width * scale), round(height * scale)
     # Cubic interpolation overshoots at edges; depths must not be mixed across them.

@@ -1,4 +1,10 @@
-"""Threshold of the confidence: where depth is unknown, and its fill."""
+"""Where depth is unknown, and what stands there.
+
+Unknown is what has too little confidence. The decoder gives a confidence, 0 where all patches
+around a pixel are dark, saturated or without texture; `quality_of_fit` lowers it where the frame is
+not what the model expects, and `periodic_texture` where a pattern repeats. Beyond the range of the
+levels depth is infinite, not unknown: see `Levels.metric_maps`.
+"""
 
 import dataclasses
 
