@@ -9,7 +9,6 @@ import pytest
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
 from coded_aperture_ros.depth.quality.evidence import HypothesisTest
-from coded_aperture_ros.depth.quality.health import frame_statistics
 from coded_aperture_ros.depth.quality.spectra import (
     NAMES,
     SLOPES,
@@ -23,6 +22,7 @@ from coded_aperture_ros.depth.quality.spectra import (
     power_spectra,
     quantiles,
 )
+from coded_aperture_ros.depth.quality.statistics import frame_statistics
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene

@@ -1,4 +1,4 @@
-"""Less noise where nothing moves: the mean of the frames of a video that are alike."""
+"""Noise reduction where nothing moves: mean of the equal frames of a video."""
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth.layer import LayerSpec

@@ -1,4 +1,4 @@
-"""Costs from the past frames of a video: where the same texture was, depth was the same."""
+"""Costs of a video's past frames, carried along the best matches of texture."""
 
 import dataclasses
 
@@ -18,19 +18,20 @@ WHEN = "temporal_frames"
 # Default of `temporal_frames` for nodes and bags, whose frames are those of a video.
 VIDEO_FRAMES = 4.0
 
-# The frames are compared at this many pixels per patch distance, shifted by so many of them each
-# way: what moves less than a patch distance between two frames is found again.
+# Samples per patch distance at which frames are compared, and the largest shift in samples each
+# way: motion of less than a patch distance between two frames is followed.
 _SAMPLES = 2
 _REACH = 2
 # Standard deviation of the Gaussian that patches are compared with, in patch distances.
 _SIGMA = 1.0
 # tau_1 of thesis eq. 8.9, as a share of the local variance of the frame.
 _BANDWIDTH = 0.1
-# The cost of all past frames counts up to here.
+# Largest cost of all past frames, natural logarithm.
 _LARGEST_PAST_COST = 20.0
-# Against a level's neighbour, per frame: surfaces come nearer and go away.
+# Largest difference of the past cost between neighbouring levels, natural logarithm: surfaces come
+# nearer and go away from frame to frame.
 _DRIFT = 4.0
-# How much of each shift of -2 to 2 samples leads to the patch before, to the same and to the next.
+# Weight of each shift of -2 to 2 samples for the previous patch, the same and the next.
 _SHIFT_TO_PATCHES = np.array(
     [[1, 0.5, 0, 0, 0], [0, 0.5, 1, 0.5, 0], [0, 0, 0, 0.5, 1]], np.float32
 )
@@ -38,7 +39,7 @@ _SHIFT_TO_PATCHES = np.array(
 
 @dataclasses.dataclass(frozen=True)
 class TemporalConfig:
-    """How past frames count."""
+    """Weight of past frames."""
 
     temporal_frames: float = option(
         0.0,
@@ -65,7 +66,7 @@ class Temporal(Stage):
         self._filter = TemporalFilter(frames)
 
     def __call__(self, work: Work) -> None:
-        """Add up the cost of the frame, or of the mean of frames alike, and those before."""
+        """Set the cost by the frame, or the mean of equal frames, and those before it."""
         observation = work.observation
         work.fused_cost = self._filter.add(
             work.frame_cost.volume, work.grey, observation.grid, observation.noise.least
@@ -121,18 +122,25 @@ class TemporalFilter:
     def add(
         self, volume: FloatArray, grey: FloatArray, grid: PatchGrid, noise: float
     ) -> FloatArray:
-        """Return the cost of every level by a frame and by what is alike in those before it.
+        """Cost of every level by a frame and those before it [rows, columns, L]; the least is 0.
 
-        Takes the cost [rows, columns, L] by the frame alone, the frame, where its patches lie, and
-        the standard deviation of its noise. Returns the same shape, 0 for the likeliest level.
+        Parameters
+        ----------
+        volume : ndarray, float32 [rows, columns, L]
+            Cost by the frame alone.
+        grey : ndarray, float32 [height, width]
+            The frame, linear light.
+        grid : PatchGrid
+        noise : float
+            Standard deviation of the noise of `grey`.
         """
         samples = _sampled(grey, grid)
         total = np.moveaxis(bounded_cost(volume), -1, 0)
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
-            # A patch's cost is of all that its window shows: the past counts if all of that is
-            # still there. Else what has moved on would trail its costs behind it.
+            # A patch's cost depends on its whole window: the past counts only if all of it still
+            # matches. Otherwise moving objects would leave their costs behind.
             match = cv2.erode(match, _window(grid))
             past = _gathered(self._past, weights)
             np.minimum(past[1:], past[:-1] + _DRIFT, out=past[1:])
@@ -146,13 +154,13 @@ class TemporalFilter:
 
 
 def _window(grid: PatchGrid) -> NDArray[np.uint8]:
-    """Return which patches a cost is of: its window, and the patch beside it that it came from."""
+    """Neighbourhood of patches that a cost depends on: its window, and one patch of motion."""
     side = 2 * round(grid.window_px / (2 * grid.stride_px)) + 3
     return np.ones((side, side), np.uint8)
 
 
 def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:
-    """Return the frame at `_SAMPLES` pixels per patch distance."""
+    """Frame at `_SAMPLES` pixels per patch distance, float32 [samples down, samples right]."""
     first = (grid.window_px - grid.stride_px) // 2
     top, left = max(grid.top + first, 0), max(grid.left + first, 0)
     bottom, right = top + grid.rows * grid.stride_px, left + grid.columns * grid.stride_px
@@ -163,11 +171,14 @@ def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:
 def _matches(
     present: FloatArray, last: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Compare every patch with those around its place in the last frame.
+    """Weights of the last frame's neighbouring patches for each patch, and its best match.
 
-    Returns how well the last frame, one patch distance up to one down and left to right, matches
-    [3, 3, rows, columns], which sums to one, and how well the best place does, 0 to 1 [rows,
-    columns].
+    Returns
+    -------
+    weights : ndarray, float32 [3, 3, rows, columns]
+        From one patch up to one down, and left to right; the sum is 1.
+    match : ndarray, float32 [rows, columns]
+        Similarity of the best place, 0 to 1.
     """
     spread = _smoothed(present * present) - _smoothed(present) ** 2
     bandwidth = variance + _BANDWIDTH * np.maximum(spread, 0)
@@ -192,14 +203,14 @@ def _matches(
 
 
 def _smoothed(samples: FloatArray) -> FloatArray:
-    """Return the Gaussian mean around every patch."""
+    """Gaussian mean around every patch [rows, columns]."""
     size = samples.shape[1] // _SAMPLES, samples.shape[0] // _SAMPLES
     of_patches = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(of_patches, (0, 0), _SIGMA), np.float32)
 
 
 def _gathered(past: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the weighted mean of the neighbours' costs [L, rows, columns]."""
+    """Weighted mean of the neighbours' costs [L, rows, columns]."""
     levels, rows, columns = past.shape
     around = np.empty((levels, rows + 2, columns + 2), np.float32)
     around[:, 1:-1, 1:-1] = past
