@@ -31,6 +31,12 @@ class LayerSpec:
         Name, under ``depth/``, of the topic with the layer as a point cloud; empty: none.
     title : str
         Few words for people, as in a list to choose from; empty: made of the name.
+
+    Examples
+    --------
+    >>> spec = LayerSpec("free_space", "Free-space bound.", unit="m", kind="bound")
+    >>> spec.topic, spec.file_suffix, spec.title
+    ('depth/free_space', '.free_space', 'free space')
     """
 
     name: str
@@ -73,6 +79,13 @@ class Layer:
         NaN where unknown.
     note : str
         Remark on the values, for people.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spec = LayerSpec("second", "Depth of a second surface.", unit="m", kind="depth")
+    >>> Layer(spec, np.full((2, 3), np.nan, np.float32)).values.shape
+    (2, 3)
     """
 
     spec: LayerSpec

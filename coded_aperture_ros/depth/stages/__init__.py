@@ -66,7 +66,13 @@ def stage_modules() -> tuple[StageModule, ...]:
 
 
 def layer_specs() -> tuple[LayerSpec, ...]:
-    """All layers that the stages may add, in the order of the stages."""
+    """All layers that the stages may add, in the order of the stages.
+
+    Examples
+    --------
+    >>> [spec.name for spec in layer_specs() if spec.unit == "m"]
+    ['free_space', 'second']
+    """
     return tuple(spec for module in stage_modules() for spec in module.LAYERS)
 
 

@@ -46,7 +46,7 @@ class SecondSurfaceConfig:
 
 def make(plan: Plan, config: SecondSurfaceConfig) -> Stage:
     """Stage of a second surface."""
-    # What is more blurred may lie before or behind: with levels on two sides nothing is told.
+    # What is more blurred may lie before or behind: with levels on both sides none is found.
     if plan.small is None or plan.sides is not None:
         return FindSecondSurface(plan.levels, None)
     return FindSecondSurface(plan.levels, SecondSurface(tried_sizes(plan.levels.blur_sizes_px)))
