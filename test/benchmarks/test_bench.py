@@ -570,7 +570,7 @@ def test_what_a_package_beside_needs_is_named(capsys, tmp_path, monkeypatch):
     (tmp_path / "needs_more").mkdir()
     (tmp_path / "needs_more" / "__main__.py").write_text("import no_such_library\n")
     monkeypatch.syspath_prepend(tmp_path)
-    elsewhere = dataclasses.replace(extension.VIEW, package="needs_more")
+    elsewhere = dataclasses.replace(extension.VIEWER, package="needs_more")
     monkeypatch.setitem(program.COMMANDS, "view", elsewhere)
     result = call(capsys, "view")
     assert (result.status, result.err.count("\n")) == (1, 1)

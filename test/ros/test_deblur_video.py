@@ -9,7 +9,7 @@ from waiting import wait_until
 
 from coded_aperture_ros.deblur import Deblurrer
 from coded_aperture_ros.io.messages import array_from_image, pixels_from_frame
-from coded_aperture_ros.likelihood.bank import learning
+from coded_aperture_ros.likelihood.bank import for_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -108,7 +108,7 @@ def test_its_threads_end_with_it(ros, model, monkeypatch):
 
 
 def test_it_renders_its_psfs_and_learns_nothing(ros, model, coded, monkeypatch):
-    monkeypatch.setattr(learning, "learn_bank", lambda *_, **__: pytest.fail("learned a bank"))
+    monkeypatch.setattr(for_camera, "learn_bank", lambda *_, **__: pytest.fail("learned a bank"))
     chain = DeblurChain(ros, {**model, "bank": ""})
     frame = mono16(coded)
     seen = [array_from_image(message).astype(float) for message in (frame, chain.result(frame))]
@@ -117,9 +117,9 @@ def test_it_renders_its_psfs_and_learns_nothing(ros, model, coded, monkeypatch):
 
 
 def test_the_nodes_of_one_process_learn_one_bank(ros, model, camera_file, monkeypatch):
-    learned, learn = [], learning.learn_bank
+    learned, learn = [], for_camera.learn_bank
     monkeypatch.setattr(
-        learning,
+        for_camera,
         "learn_bank",
         lambda *args, **options: learned.append(1) or learn(*args, **options),
     )
