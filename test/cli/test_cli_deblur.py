@@ -185,10 +185,10 @@ def test_progress_of_one_picture_goes_over_its_iterations(
     depth = scene.depth_npy if depth == "file" else depth
     arguments = ["deblur", "--bank", scene.bank, "--depth", depth, "-o", tmp_path / "a.png"]
     arguments += ["--method", method, "--iterations", 3, scene.coded_npy]
-    monkeypatch.setattr(progress, "_DELAY_S", 600)
+    monkeypatch.setattr(progress, "_BAR_DELAY_S", 600)
     assert main([str(argument) for argument in arguments]) == 0
     assert "it" not in written()  # what is quick shows nothing
-    monkeypatch.setattr(progress, "_DELAY_S", 0)
+    monkeypatch.setattr(progress, "_BAR_DELAY_S", 0)
     assert main([str(argument) for argument in arguments]) == 0
     assert (f"/{steps} [" in written()) == bool(steps)
 
@@ -196,7 +196,7 @@ def test_progress_of_one_picture_goes_over_its_iterations(
 def test_progress_of_several_pictures_goes_over_them(scene, tmp_path, terminal, monkeypatch):
     stderr, written = terminal
     monkeypatch.setattr(sys, "stderr", stderr)
-    monkeypatch.setattr(progress, "_DELAY_S", 0)
+    monkeypatch.setattr(progress, "_BAR_DELAY_S", 0)
     folder = tmp_path / "frames"
     folder.mkdir()
     for name in "ab":
