@@ -7,6 +7,7 @@ import sys
 import cv2
 import numpy as np
 import pytest
+from joblib.externals.loky import get_reusable_executor
 
 pytest.importorskip("numba", reason="random scenes need numba")
 
@@ -450,6 +451,8 @@ def test_processes_and_workers_of_a_scheduler_make_the_same_frames(
     data = shards.Data("frame", lambda number, _, __: render(number), modules=("scenes",))
     numbers = (1, 2, 3)
     if where == "processes":
+        # Those that other tests have left do not look for modules in the folder of training.
+        get_reusable_executor().shutdown()
         shards.make(data, tmp_path, numbers, processes=2)
     else:
         distributed = pytest.importorskip("distributed")
