@@ -330,6 +330,7 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
 RANDOM = ("bench", "accuracy", "scenes", "--size", "128x96", "--levels", 8, "--jobs", 1)
 
 
+@pytest.mark.slow
 def test_random_scenes_are_scored_one_by_one_and_together(capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
     words = (*RANDOM, "--random", 11, "--masks", "levin", "zhou", "--regularize", "none")
