@@ -1,6 +1,7 @@
 """What a task is: one network of the package, and how it is fitted, written and calibrated."""
 
 import dataclasses
+from abc import ABC, abstractmethod
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -33,8 +34,10 @@ class Options:
     threads: int
 
 
-class Task:
+class Task(ABC):
     """A network of the package.
+
+    A task whose plan has the step `quantise` or `calibrate` has the method for it, too.
 
     Attributes
     ----------
@@ -47,18 +50,18 @@ class Task:
     module: ModuleType
     exact: tuple[str, ...] = ()
 
+    @abstractmethod
     def problem(self, options: Options) -> "Problem":
         """Network, data, loss and score for the loop."""
-        raise NotImplementedError
 
+    @abstractmethod
     def arrays(self, weights: "dict[str, torch.Tensor]", options: Options) -> dict[str, Any]:
         """Arrays of the weights' file, from the weights that were fitted."""
-        raise NotImplementedError
 
     def quantisation_inputs(self, options: Options) -> dict[str, list[Arrays]]:
         """Inputs of the networks in the weights' file for some frames; the package runs them."""
-        raise NotImplementedError
+        raise NotImplementedError("this task has no step quantise")
 
     def calibration(self, options: Options) -> dict[str, Any]:
         """Constants of the weights' file that are fitted by data held back."""
-        raise NotImplementedError
+        raise NotImplementedError("this task has no step calibrate")

@@ -180,8 +180,8 @@ class Stage:
     name: str  # of its time in diagnostics and JSON
 
     def __call__(self, work: Work) -> None:
-        """Read fields of `work`, and set those of this stage."""
-        raise NotImplementedError
+        """Read fields of `work`, and set those of this stage; every stage overrides it."""
+        raise NotImplementedError(f"stage {self.name} has no __call__")
 
     def both_ways(self, block: Block) -> None:
         """Process every frame of a block, using those before and after it."""
