@@ -9,6 +9,7 @@ many frames as one, two processes do 1.9 times as many.
 """
 
 import functools
+import multiprocessing
 import os
 import signal
 import threading
@@ -18,7 +19,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from itertools import islice, starmap
 from typing import Any, TypeVar
@@ -138,7 +139,7 @@ def _parallel(processes: int, client: Any = None) -> Iterator[Any]:
     if client is None:
         with _naming_lost_workers():
             # Not as a context: interrupted, that would begin anew, and leave a folder behind.
-            yield Parallel(n_jobs=processes, **options)
+            yield Parallel(n_jobs=processes, backend=_worker_processes(), **options)
         return
     client.wait_for_workers(1)
     with _naming_lost_workers(), parallel_config(backend="dask", client=client):
@@ -147,6 +148,25 @@ def _parallel(processes: int, client: Any = None) -> Iterator[Any]:
         except ValueError:  # joblib before 1.4 gives Dask's results all at the end
             parallel = Parallel(n_jobs=-1, pre_dispatch="all", **options | {"return_as": "list"})
         yield parallel
+
+
+def _worker_processes() -> Any:
+    """Return joblib's worker processes, whose end in the middle of tasks prints nothing."""
+    from joblib.parallel import BACKENDS
+
+    class Workers(BACKENDS["loky"]):  # type: ignore[misc]
+        def abort_everything(self, ensure_ready: bool = True) -> None:
+            # Asked to end them, loky forgets the tasks that wait, and its thread fails with a
+            # KeyError if it takes one just then. When they have ended, it forgets them in order.
+            with suppress(RuntimeError):  # they have ended by themselves
+                endless = self._workers.submit(time.sleep, 1e6)
+                for process in multiprocessing.active_children():
+                    if "loky" in type(process).__module__:
+                        process.terminate()
+                endless.exception()
+            super().abort_everything(ensure_ready=ensure_ready)
+
+    return Workers()
 
 
 @contextmanager
