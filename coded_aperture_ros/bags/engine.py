@@ -35,6 +35,8 @@ Result = TypeVar("Result")
 
 # Period of a worker's check whether its program is still there.
 _PARENT_CHECK_S = 0.5
+# The threads that hand tasks to workers end within this when there are no workers.
+_FEEDER_END_S = 2.0
 
 
 class WorkerLostError(InputError):
@@ -165,6 +167,10 @@ def _worker_processes() -> Any:
                         process.terminate()
                 endless.exception()
             super().abort_everything(ensure_ready=ensure_ready)
+            # A program that ends before these threads leaves locks behind, which are complained of.
+            for thread in threading.enumerate():
+                if thread.name == "QueueFeederThread":
+                    thread.join(_FEEDER_END_S)
 
     return Workers()
 
