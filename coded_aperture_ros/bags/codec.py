@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.contents import Topic
-from coded_aperture_ros.frames.light import quantisation_sigma
+from coded_aperture_ros.frames.pictures import quantisation_sigma
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_compressed,
     array_from_image,
     check_pixels,
     depth_pixels,
+    mosaic_encoding,
     output_encoding,
     parse_encoding,
     scaled_matrices,
@@ -57,8 +58,15 @@ class Picture:
         return stamp_ns(self.header)
 
 
-def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
+def read_picture(data: bytes | memoryview, type_name: str, mosaic: str = "") -> Picture:
     """Picture of a raw or compressed image message.
+
+    Parameters
+    ----------
+    data : bytes
+    type_name : str
+    mosaic : str
+        Order of the colour filters of grey images whose message names none.
 
     Raises
     ------
@@ -67,12 +75,13 @@ def read_picture(data: bytes | memoryview, type_name: str) -> Picture:
     """
     message = _read(data, type_name)
     if type_name == IMAGE:
-        encoding = output_encoding(message.encoding)
-        mosaic = parse_encoding(message.encoding).mosaic
-        return Picture(message.header, array_from_image(message), encoding, mosaic)
-    pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
-    lost = quantisation_sigma(bytes(message.data))
-    return Picture(message.header, pixels, encoding, compression_loss=lost)
+        pixels, encoding, lost = array_from_image(message), message.encoding, 0.0
+    else:
+        pixels, encoding = array_from_compressed(message)  # first: it refuses what is cut off
+        lost = quantisation_sigma(bytes(message.data))
+    encoding = mosaic_encoding(encoding, mosaic)
+    found = parse_encoding(encoding).mosaic
+    return Picture(message.header, pixels, output_encoding(encoding), found, lost)
 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:

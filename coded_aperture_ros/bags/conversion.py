@@ -105,6 +105,7 @@ class BagConversion:
     map_size: str = "full"
     prior: Callable[[Camera], ExpectedMotion | None] = _nothing_expected
     bits: int = 16
+    mosaic: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     processes: int = 0
     threads: int = 0
@@ -159,6 +160,7 @@ class BagConversion:
             self.gamma,
             self.bits,
             self.threads if self._processes == 1 else 1,
+            self.mosaic,
         )
         processor = kept_processor(pickle.dumps(recipe))
         return _Plan(image, references, outputs, recipe, processor, data)
@@ -180,7 +182,7 @@ class BagConversion:
         pipeline = plan.processor.pipeline
         processes = 1 if pipeline.remembers else self._processes
         warm_up(plan.recipe.camera)
-        record = FrameLog(plan.image.type_name, self.bits, self.gamma)
+        record = FrameLog(plan.image.type_name, self.bits, self.gamma, self.mosaic)
         with _prepared(plan, processes) as work, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
             for topic in (*bag.topics.values(), *result_topics(plan.outputs, pipeline.deblurs)):

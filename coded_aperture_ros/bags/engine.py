@@ -156,7 +156,9 @@ def _worker_processes() -> Any:
     """Return joblib's worker processes, whose end in the middle of tasks prints nothing."""
     from joblib.parallel import BACKENDS
 
-    class Workers(BACKENDS["loky"]):  # type: ignore[misc]
+    loky: Any = BACKENDS["loky"]
+
+    class Workers(loky):
         def abort_everything(self, ensure_ready: bool = True) -> None:
             # Asked to end them, loky forgets the tasks that wait, and its thread fails with a
             # KeyError if it takes one just then. When they have ended, it forgets them in order.

@@ -75,10 +75,13 @@ class FrameLog:
         Names of the layers that frames had, in their order.
     """
 
-    def __init__(self, type_name: str, bits: int = 16, gamma: Gamma = 1.0) -> None:
+    def __init__(
+        self, type_name: str, bits: int = 16, gamma: Gamma = 1.0, mosaic: str = ""
+    ) -> None:
         self._type_name = type_name
         self._bits = bits
         self._gamma = gamma
+        self._mosaic = mosaic
         self.frames = 0
         self.faults: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
@@ -205,7 +208,7 @@ class FrameLog:
         self, index: int, recorded: BagMessage, result: ProcessedFrame, maps: DepthMaps
     ) -> None:
         """Keep a sample; if there are too many, every other one is dropped."""
-        picture = read_picture(recorded.data, self._type_name)
+        picture = read_picture(recorded.data, self._type_name, self._mosaic)
         gamma = self._gamma
         self.samples[index] = Sample(
             index,

@@ -99,6 +99,8 @@ class FrameProcessor:
         Of all frames.
     bits : int
         Of 16-bit frames.
+    mosaic : str
+        Order of the colour filters of grey frames whose messages name none.
     """
 
     pipeline: FramePipeline
@@ -108,6 +110,7 @@ class FrameProcessor:
     gamma: Gamma = 1.0
     prior: ExpectedMotion | None = None
     bits: int = 16
+    mosaic: str = ""
 
     def prepare(self, data: bytes) -> None:
         """Compute beforehand, with a message of a frame, what the first one would wait for."""
@@ -155,7 +158,7 @@ class FrameProcessor:
         return dataclasses.replace(processed, sharp=stored, seconds=timer.seconds)
 
     def _decoded(self, data: bytes) -> tuple[Picture, Frame]:
-        picture = read_picture(data, self.type_name)
+        picture = read_picture(data, self.type_name, self.mosaic)
         rows, columns = picture.pixels.shape[:2]
         if (rows, columns) != self.size:
             raise MessageError(
@@ -190,7 +193,7 @@ class FrameRecipe:
         Of the whole view, at the scale of the frames.
     view : View
         What the frames show of it.
-    type_name, map_size, gamma, bits
+    type_name, map_size, gamma, bits, mosaic
         See `FrameProcessor`.
     threads : int
         Of the pipeline, if its configuration leaves them open; 0: as many as it chooses.
@@ -205,6 +208,7 @@ class FrameRecipe:
     gamma: Gamma
     bits: int
     threads: int
+    mosaic: str = ""
 
     def make(self) -> FrameProcessor:
         """Return a new processor; an `InputError` if the bank does not suit the frames."""
@@ -226,6 +230,7 @@ class FrameRecipe:
             self.gamma,
             self.prior(camera),
             self.bits,
+            self.mosaic,
         )
 
 

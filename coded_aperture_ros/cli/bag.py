@@ -17,7 +17,7 @@ from coded_aperture_ros.bags.many import Job, Outcome, convert_jobs, plan_jobs, 
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.estimation import known_motion, make_pipeline
 from coded_aperture_ros.cli.estimation_arguments import ESTIMATION_RULES, EstimationArguments
-from coded_aperture_ros.cli.reading import BitsArguments
+from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, required
 from coded_aperture_ros.core.cluster import dask_client
@@ -57,7 +57,7 @@ def _ros_name(text: str) -> str:
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
-class Arguments(EstimationArguments, BitsArguments):
+class Arguments(EstimationArguments, PixelArguments):
     """Arguments of `bag`."""
 
     inputs: tuple[str, ...] = argument("bag: its folder, or a .mcap or .db3 file", written="IN")
@@ -149,6 +149,7 @@ def _convert(args: Arguments, source: Path, target: Path, threads: int = 0) -> d
         new_pipeline=functools.partial(_new_pipeline, args),
         gamma=args.gamma,
         bits=args.bits,
+        mosaic=args.bayer,
         map_size=args.output_size,
         prior=functools.partial(known_motion, args),
         settings=_settings(args),

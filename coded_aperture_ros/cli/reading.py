@@ -48,8 +48,8 @@ class PixelArguments(BitsArguments):
     """How the numbers of pixels become light."""
 
     bayer: str = argument(
-        "pictures are the grey mosaics of a sensor with these colour filters in every two by two "
-        "pixels; bags know it themselves",
+        "grey pictures are the mosaics of a sensor with these colour filters in every two by two "
+        "pixels; bags mostly know it themselves",
         "",
         choices=MOSAICS,
         daily=False,

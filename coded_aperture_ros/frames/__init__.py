@@ -14,7 +14,6 @@ from coded_aperture_ros.frames.light import (
     Gamma,
     compression_noise,
     decode,
-    decode_picture,
     encode,
     gamma_from_text,
     linear_from_pixels,
@@ -39,6 +38,7 @@ from coded_aperture_ros.frames.periodic import (
     periodic_shape,
     transfer_function,
 )
+from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture
 from coded_aperture_ros.frames.static_average import StaticAverage, frames_per_patch, join_averages
 from coded_aperture_ros.frames.view import View, is_same_view
 
@@ -53,6 +53,7 @@ __all__ = [
     "PatchGrid",
     "PixelFormat",
     "StaticAverage",
+    "StoredPicture",
     "View",
     "channel_mean",
     "channel_noise",

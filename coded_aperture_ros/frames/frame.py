@@ -8,7 +8,12 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.grey import check_frame, resampled
-from coded_aperture_ros.frames.light import Gamma, compression_noise, linear_from_pixels
+from coded_aperture_ros.frames.light import (
+    Gamma,
+    check_linear,
+    compression_noise,
+    linear_from_pixels,
+)
 from coded_aperture_ros.frames.mosaic import colour_from_mosaic, grey_from_mosaic
 from coded_aperture_ros.frames.view import View
 
@@ -118,10 +123,12 @@ class PixelFormat:
         Raises
         ------
         InputError
-            If the pixels have another type.
+            If the pixels have another type, or floats are not linear light.
         """
         if self.bits < 16 and pixels.dtype == np.uint16:
             pixels = np.minimum(pixels, 2**self.bits - 1) << (16 - self.bits)
+        if pixels.dtype.kind == "f":
+            check_linear(pixels)
         if pixels.dtype == np.float32:
             return np.asarray(pixels)
         return linear_from_pixels(pixels, self.gamma)

@@ -1,6 +1,4 @@
-"""Linear light of stored pictures: decoding, transfer curves, noise of compression."""
-
-import struct
+"""Linear light of stored pixels: transfer curves, and the noise of compression in light."""
 
 import cv2
 import numpy as np
@@ -12,74 +10,8 @@ from coded_aperture_ros.core.errors import InputError
 # An exponent (stored value = light ** (1 / gamma)), or the sRGB transfer curve.
 Gamma = float | str
 SRGB = "srgb"
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-_PNG_END = b"IEND"
-_JPEG_START = b"\xff\xd8"
-_JPEG_MARKER = 0xFF
-_JPEG_TABLES = 0xDB
-# Noise over the rounding of the median coefficient: best for depth from quality 95 down to 50.
-_JPEG_SHARE = 0.35
-# Without EXIF's rotation: a rotated picture would not match the mask.
-AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
-
-
-def decode_picture(data: bytes | memoryview, flags: int = AS_STORED) -> NDArray | None:
-    """Pixels of a picture in any format that OpenCV reads; None if it cannot be decoded.
-
-    Parameters
-    ----------
-    data : bytes
-        A truncated PNG, which OpenCV decodes in part without an error, is not decoded.
-    flags : int
-        Flags of `cv2.imdecode`.
-
-    Examples
-    --------
-    >>> picture = cv2.imencode(".png", np.zeros((4, 6), np.uint8))[1].tobytes()
-    >>> decode_picture(picture).shape
-    (4, 6)
-    >>> decode_picture(picture[:-8]) is None
-    True
-    """
-    data = bytes(data)
-    if not data or (data.startswith(_PNG_SIGNATURE) and not _is_whole_png(data)):
-        return None
-    try:
-        return cv2.imdecode(np.frombuffer(data, np.uint8), flags)
-    except cv2.error:
-        return None
-
-
-def quantisation_sigma(data: bytes) -> float:
-    """Standard deviation of JPEG's quantisation, of stored values in [0, 1]; 0 without JPEG.
-
-    It is a third of the rounding of the median luminance coefficient.
-    """
-    start = 2
-    if not data.startswith(_JPEG_START):
-        return 0.0
-    while start + 4 <= len(data) and data[start] == _JPEG_MARKER:
-        kind, length = struct.unpack_from(">xBH", data, start)
-        if kind == _JPEG_TABLES and not data[start + 4] & 15:  # table of the luminance
-            wide = data[start + 4] >> 4
-            steps = np.frombuffer(data, ">u2" if wide else np.uint8, 64, start + 5)
-            return float(_JPEG_SHARE * np.median(steps) / 255 / np.sqrt(12))
-        start += 2 + length
-    return 0.0
-
-
-def _is_whole_png(data: bytes) -> bool:
-    """Whether all chunks are there.
-
-    OpenCV allocates the length that a chunk declares, up to four gigabytes.
-    """
-    start = len(_PNG_SIGNATURE)
-    while start + 8 <= len(data):
-        length, kind = struct.unpack_from(">I4s", data, start)
-        start += 12 + length  # length, kind, content, checksum
-        if kind == _PNG_END:
-            return start <= len(data)
-    return False
+# Linear light, where 1 is white: lamps may be above, half of a picture is not.
+_FAR_ABOVE_WHITE = 2.0
 
 
 def gamma_from_text(text: str) -> Gamma:
@@ -191,6 +123,24 @@ def linear_from_pixels(pixels: NDArray, gamma: Gamma = 1.0) -> FloatArray:
     if pixels.dtype.kind == "f":
         return pixels.astype(np.float32)
     raise InputError(f"expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
+
+
+def check_linear(values: NDArray) -> None:
+    """Raise `InputError` for floats that are not linear light, in which white is 1.
+
+    Examples
+    --------
+    >>> check_linear(np.float32([0.5, 255.0, 0.9]))
+    >>> check_linear(np.float32([20.0, 255.0, 0.9]))
+    Traceback (most recent call last):
+    ...
+    coded_aperture_ros.core.errors.InputError: most values are above 2, ...
+    """
+    if 2 * np.count_nonzero(values > _FAR_ABOVE_WHITE) > values.size:
+        raise InputError(
+            f"most values are above {_FAR_ABOVE_WHITE:g}, expected linear light from 0 to 1: "
+            "divide by the value of white, such as 255"
+        )
 
 
 def pixels_from_linear(

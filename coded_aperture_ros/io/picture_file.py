@@ -8,15 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.frames.frame import PixelFormat
-from coded_aperture_ros.frames.light import (
-    Gamma,
-    decode_picture,
-    pixels_from_linear,
-    quantisation_sigma,
-)
+from coded_aperture_ros.frames.light import Gamma, check_linear, pixels_from_linear
+from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture, quantisation_sigma
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
@@ -31,16 +27,18 @@ PICTURE_SUFFIXES = (
     ".pgm",
     ".npy",
 )
+# Formats that are read, but not written.
+_READ_SUFFIXES = (*PICTURE_SUFFIXES, ".pbm", ".pnm", ".pam", ".pfm")
+# Of the pictures for display beside others, which are none of a camera.
+DISPLAY_SUFFIX = ".picture.png"
 _TIFF = (".tif", ".tiff")
 _MILLIMETRE = 1e-3
-# Linear light, where 1 is white: lamps may be above, half of a picture is not.
-_FAR_ABOVE_WHITE = 2.0
 # By default OpenCV 4.6 stores float colours in the lossy LogLuv form; 5 is LZW.
 _ENCODING = dict.fromkeys(_TIFF, (cv2.IMWRITE_TIFF_COMPRESSION, 5))
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """Paths of the pictures in a folder, sorted by name.
+    """Paths of the pictures in a folder, sorted by name, without those for display.
 
     Examples
     --------
@@ -55,7 +53,9 @@ def picture_files(folder: Path) -> list[Path]:
     return sorted(
         file
         for file in folder.iterdir()
-        if file.suffix.lower() in PICTURE_SUFFIXES and not file.name.startswith(".")
+        if file.suffix.lower() in _READ_SUFFIXES
+        and not file.name.startswith(".")
+        and not file.name.lower().endswith(DISPLAY_SUFFIX)
     )
 
 
@@ -65,20 +65,22 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
     Parameters
     ----------
     path : str or path-like
-        Any picture that OpenCV reads, or a `.npy` array [row, column] or [row, column, RGB].
+        Any picture that OpenCV reads, Netpbm or PFM, or a `.npy` array [row, column] or
+        [row, column, RGB].
     gamma : float or "srgb", optional
         Encoding of 8-bit pictures; 16-bit and float files are linear.
 
     Returns
     -------
     ndarray of float32, shape [h, w] or [h, w, 3]
-        RGB, rows and columns as the file stores them: EXIF orientation is ignored. Integer files
-        give 0 to 1; float files keep their values and NaN.
+        RGB, rows and columns as the file stores them: orientation is ignored. Integer files give 0
+        to 1, of the largest value that the file names; float files keep their values and NaN.
 
     Raises
     ------
     InputError
-        With the file's name: it is missing, empty, not a picture, or its numbers are not 0 to 1.
+        With the file's name: it is missing, empty, damaged, not one picture, or its numbers are not
+        0 to 1.
 
     Examples
     --------
@@ -98,8 +100,10 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
 
     See `read_image` and `quantisation_sigma`.
     """
-    data = _read_data(Path(path))
-    pixels = _decode(Path(path), data)
+    path = Path(path)
+    data = _read_data(path)
+    stored = _decode(path, data)
+    pixels = stored.pixels
     if pixels.ndim == 3 and pixels.shape[2] == 1:
         pixels = pixels[:, :, 0]
     if pixels.ndim not in (2, 3) or (pixels.ndim == 3 and pixels.shape[2] != 3) or not pixels.size:
@@ -108,15 +112,22 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
             f"got the shape {list(pixels.shape)}"
         )
     if pixels.dtype.kind == "f":
-        if 2 * np.count_nonzero(pixels > _FAR_ABOVE_WHITE) > pixels.size:
-            raise InputError(
-                f"{path}: most values are above {_FAR_ABOVE_WHITE:g}, expected linear light from 0 "
-                "to 1: divide by the value of white, such as 255"
-            )
+        with naming(path):
+            check_linear(pixels)
         return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
-    return pixels, quantisation_sigma(data)
+    return _with_usual_white(pixels, stored.white), quantisation_sigma(data)
+
+
+def _with_usual_white(pixels: NDArray, white: int) -> NDArray:
+    """Pixels of up to 8 bits whose white is 255, or of more bits in linear light, float32."""
+    if white == np.iinfo(pixels.dtype).max:
+        return pixels
+    if pixels.dtype == np.uint8:
+        return np.rint(pixels * np.float32(255 / white)).astype(np.uint8)
+    # Floats: no option about the bits of 16-bit pixels applies to a file that says its own.
+    return pixels * np.float32(1 / white)
 
 
 def write_image(
@@ -181,7 +192,7 @@ def read_depth(path: str | os.PathLike[str], metres_per_unit: float | None = Non
     ...     read_depth(file).round(3).tolist()
     [[1.5, nan]]
     """
-    pixels = _decode(Path(path), _read_data(Path(path)))
+    pixels = _decode(Path(path), _read_data(Path(path))).pixels
     if pixels.ndim != 2 or not pixels.size:
         raise InputError(
             f"{path}: expected a depth map [row, column], got the shape {list(pixels.shape)}"
@@ -234,14 +245,14 @@ def _read_data(path: Path) -> bytes:
     return data
 
 
-def _decode(path: Path, data: bytes) -> NDArray:
-    """Pixels of a file as stored, colours in RGB order."""
+def _decode(path: Path, data: bytes) -> StoredPicture:
+    """Picture of a file as stored."""
     if path.suffix.lower() == ".npy":
-        return _read_array(path)
-    pixels = decode_picture(data)
-    if pixels is None:
-        raise InputError(f"cannot read {path}: not a picture, or truncated")
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB) if pixels.ndim == 3 else pixels
+        array = _read_array(path)
+        white = np.iinfo(array.dtype).max if array.dtype.kind in "ui" else 1
+        return StoredPicture(array, white)
+    with naming(f"cannot read {path}"):
+        return decode_picture(data)
 
 
 def _read_array(path: Path) -> NDArray:

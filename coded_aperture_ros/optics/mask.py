@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.frames import decode_picture
 
 # Largest side in cells: finer than any lens shows, and a picture of a mask may be a large scan.
@@ -147,16 +147,18 @@ class Mask:
             raise InputError(f"cannot read mask {path}: {error.strerror or error}") from error
         if path.suffix.lower() == ".npy":
             return Mask(path.name, _read_array(path))
-        picture: Any = decode_picture(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH)
-        if picture is None:
-            raise InputError(f"cannot read mask {path}: not a picture, use PNG or .npy")
+        with naming(f"cannot read mask {path}"):
+            stored = decode_picture(data)
+        picture: Any = stored.pixels
+        if picture.ndim == 3:
+            picture = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         if max(picture.shape) > _MAX_CELLS:
             raise InputError(
                 f"cannot read mask {path}: {picture.shape[1]}x{picture.shape[0]} cells, "
                 f"at most {_MAX_CELLS} a side: make the picture smaller"
             )
         if picture.dtype.kind == "u":
-            picture = picture / np.float32(np.iinfo(picture.dtype).max)
+            picture = picture / np.float32(stored.white)
         return Mask(path.name, picture)
 
 

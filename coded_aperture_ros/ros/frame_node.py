@@ -1,6 +1,7 @@
 """Base class of the nodes that turn frames into other frames."""
 
 import contextlib
+import copy
 import dataclasses
 import time
 from abc import abstractmethod
@@ -14,9 +15,9 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.frames.light import quantisation_sigma
-from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.frames import MOSAICS, PixelFormat
+from coded_aperture_ros.frames.pictures import quantisation_sigma
+from coded_aperture_ros.io.messages import MessageError, mosaic_encoding
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
@@ -50,6 +51,12 @@ class FrameNodeConfig:
         16,
         "Bits that 16-bit images have, where a sensor's 10 or 12 are not scaled to 16",
         within=(8, 16),
+    )
+    bayer: str = option(
+        "",
+        "Order of the colour filters of grey images that are a mosaic, where their encoding names "
+        "none; empty: they are grey",
+        choices=("", *MOSAICS),
     )
     max_rate_hz: float = option(
         0.0, "Most frames to process per second; 0: no limit", unit="Hz", within=(0, 10_000)
@@ -137,8 +144,16 @@ class FrameNode(ManagedNode, Generic[Item]):
             Called with the image and its compression loss: the noise that lossy compression has
             hidden, in stored values from 0 to 1; see `quantisation_sigma`.
         """
+
+        def take(image: Image, compression_loss: float = 0.0) -> None:
+            encoding = mosaic_encoding(image.encoding, self.frame_config.bayer)
+            if encoding != image.encoding:
+                image = copy.copy(image)  # nodes of one process share messages
+                image.encoding = encoding
+            callback(image, compression_loss)
+
         if self.frame_config.image_transport == "raw":
-            self.listen(topic, Image, lambda image: callback(image, 0.0))
+            self.listen(topic, Image, take)
             return
 
         def decompress(message: CompressedImage) -> None:
@@ -148,7 +163,7 @@ class FrameNode(ManagedNode, Generic[Item]):
                 self.statistics.count_received()
                 self.reject(error.kind, str(error))
                 return
-            callback(image, quantisation_sigma(bytes(message.data)))
+            take(image, quantisation_sigma(bytes(message.data)))
 
         self.listen(f"{topic}/compressed", CompressedImage, decompress)
 

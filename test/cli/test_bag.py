@@ -356,6 +356,66 @@ def test_compressed_images(scene, tmp_path, capsys, suffix):
 
 
 @pytest.mark.parametrize(
+    ("suffix", "kind", "options"),
+    [
+        (".png", "bayer_bggr16; png compressed ", ()),
+        (".png", "bayer_bggr8; png compressed ", ()),
+        (".jpg", "bayer_bggr8; jpeg compressed ", ()),
+        (".png", "mono16; png compressed ", ("--bayer", "bggr")),
+        ("", "mono16", ("--bayer", "bggr")),
+    ],
+)
+def test_mosaics_give_the_same_depth_in_every_form(scene, tmp_path, capsys, suffix, kind, options):
+    mosaic = frame_pixels(scene, "bayer_bggr16", 0)
+    wanted = []
+    if "8;" in kind:
+        mosaic = np.rint(mosaic / 257).astype(np.uint8)
+    encoding = f"bayer_bggr{8 * mosaic.dtype.itemsize}"
+    raw = ("/eye/image_raw", IMAGE, START_NS, image(mosaic, encoding, 0))
+    other = ("/eye/image_raw", IMAGE, START_NS, image(mosaic, "mono16", 0))
+    if suffix:
+        coded = cv2.imencode(suffix, mosaic, [cv2.IMWRITE_JPEG_QUALITY, 98])[1].reshape(-1)
+        message = STORE.types[COMPRESSED](header=header(0), format=kind, data=coded)
+        data = STORE.serialize_cdr(message, COMPRESSED)
+        other = ("/eye/image_raw/compressed", COMPRESSED, START_NS, data)
+    for name, recorded, more in (("raw", raw, ()), ("other", other, options)):
+        bag = write_bag(tmp_path / name, [recorded])
+        result = call(capsys, *command(scene, bag, tmp_path / f"{name}_out", *more))
+        assert result.status == 0, result.err
+        messages = read(tmp_path / f"{name}_out")
+        ((_, depth),) = decoded(messages, "/eye/depth/image")
+        ((_, sharp),) = decoded(messages, "/eye/deblurred/image")
+        wanted.append((floats(depth), array_from_image(sharp)))
+    assert wanted[1][1].shape == (*mosaic.shape, 3)
+    if suffix != ".jpg":
+        np.testing.assert_array_equal(wanted[1][0], wanted[0][0])
+        np.testing.assert_array_equal(wanted[1][1], wanted[0][1])
+    else:
+        np.testing.assert_allclose(wanted[1][1].mean((0, 1)), wanted[0][1].mean((0, 1)), rtol=0.02)
+
+
+def test_a_damaged_jpeg_is_a_fault_of_data(scene, tmp_path, capsys):
+    """It has its end marker; a camera has lost what was in the middle."""
+    pytest.importorskip("numba")
+    whole = compressed(frame_pixels(scene, "bgr8", 0), ".jpg", 0)
+    message = STORE.deserialize_cdr(whole, COMPRESSED)
+    first = len(message.data) * 2 // 5
+    cut = np.concatenate([message.data[:first], message.data[first + len(message.data) // 5 :]])
+    message = STORE.types[COMPRESSED](header=header(1), format=message.format, data=cut)
+    damaged = STORE.serialize_cdr(message, COMPRESSED)
+    topic = "/eye/image_raw/compressed"
+    bag = write_bag(
+        tmp_path / "in",
+        [(topic, COMPRESSED, START_NS, whole), (topic, COMPRESSED, START_NS + 10**8, damaged)],
+    )
+    assert call(capsys, *command(scene, bag, tmp_path / "out")).status == 0
+    report = json.loads((tmp_path / "out" / "report" / "report.json").read_text())
+    assert report["faults"] == {"data": 1}
+    assert "damaged" in report["fault_reasons"]["data"]
+    assert len(decoded(read(tmp_path / "out"), "/eye/depth/image")) == 1
+
+
+@pytest.mark.parametrize(
     ("storage", "mode"),
     [("mcap", CompressionMode.STORAGE), ("sqlite3", CompressionMode.MESSAGE),
      ("sqlite3", CompressionMode.FILE)],

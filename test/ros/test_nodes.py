@@ -24,6 +24,7 @@ from waiting import wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimator, map_size
+from coded_aperture_ros.frames import grey_from_mosaic
 from coded_aperture_ros.io.messages import (
     array_from_image,
     millimetres_from_depth,
@@ -483,6 +484,55 @@ def test_compressed_frames_are_taken_to_be_noisier(ros, model, coded, monkeypatc
         # The median step of the standard's luminance table is 56.5.
         lost = (suffix == ".jpg") * 0.35 * 56.5 / 255 / np.sqrt(12)
         assert heard[-1] == pytest.approx(lost, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("kind", "transport", "bayer"),
+    [
+        ("bayer_gbrg8; png compressed ", "compressed", ""),
+        ("mono8; png compressed ", "compressed", "gbrg"),
+        ("mono8", "raw", "gbrg"),
+    ],
+)
+def test_mosaics_are_taken_in_every_form(ros, model, coded, monkeypatch, kind, transport, bayer):
+    """Compressed, or called grey by a driver."""
+    heard, estimate = [], DepthEstimator.estimate
+
+    def listen(estimator, frame, size):
+        heard.append(frame.light)
+        return estimate(estimator, frame, size)
+
+    monkeypatch.setattr(DepthEstimator, "estimate", listen)
+    parameters = {"image_transport": transport, "frames.bayer": bayer}
+    node = ros.make(DepthNode, {**model, **parameters})
+    depths = ros.subscribe("depth/image", Image)
+    mosaic = np.rint(255 * coded).astype(np.uint8)
+    if transport == "raw":
+        frames = ros.publisher("image_raw", Image)
+        message = image_from_array(mosaic, kind, stamped())
+    else:
+        frames = ros.publisher("image_raw/compressed", CompressedImage)
+        data = cv2.imencode(".png", mosaic)[1].tobytes()
+        message = CompressedImage(header=stamped(), format=kind, data=data)
+    assert wait_until(frames.get_subscription_count)
+    frames.publish(message)
+    assert wait_until(lambda: depths)
+    assert node.statistics.summary().rejected == {}
+    expected = grey_from_mosaic((mosaic / 255).astype(np.float32), "gbrg")
+    np.testing.assert_allclose(heard[-1], expected, atol=1e-5)
+
+
+def test_damaged_jpeg_frames_are_rejected_and_counted(ros, model, coded):
+    pytest.importorskip("numba")
+    node = ros.make(DepthNode, {**model, "image_transport": "compressed"})
+    ros.subscribe("depth/image", Image)
+    frames = ros.publisher("image_raw/compressed", CompressedImage)
+    assert wait_until(frames.get_subscription_count)
+    data = cv2.imencode(".jpg", np.rint(255 * coded))[1].tobytes()
+    middle = len(data) // 2
+    damaged = data[:middle] + bytes(len(data) // 10) + data[middle + len(data) // 5 :]
+    frames.publish(CompressedImage(header=stamped(), format="jpeg", data=damaged))
+    assert wait_until(lambda: node.statistics.summary().rejected == {"data": 1})
 
 
 def file_of_whole_view(folder, focal_length_px):

@@ -2,16 +2,17 @@
 
 import array
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames import PixelFormat
+from coded_aperture_ros.frames import MOSAICS, PixelFormat
 from coded_aperture_ros.io import messages
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.ros.messages import (
@@ -50,7 +51,11 @@ def test_grey_integers_survive_the_round_trip(encoding, data):
     np.testing.assert_array_equal(messages.pixels_from_frame(frame, encoding), pixels)
 
 
-@given(pixels=hnp.arrays(np.float32, SIZES, elements=st.floats(width=32, allow_nan=True)))
+# Above 2 are lamps, but most of a picture is not.
+LIGHT = st.floats(width=32, max_value=2) | st.sampled_from([np.nan, -np.inf])
+
+
+@given(pixels=hnp.arrays(np.float32, SIZES, elements=LIGHT))
 def test_floats_survive_the_round_trip_with_nan_and_infinity(pixels):
     message = image_from_array(pixels, "32FC1", header())
     np.testing.assert_array_equal(messages.frame_from_image(message).light, pixels)
@@ -276,3 +281,65 @@ def test_an_uncalibrated_camera_is_a_named_error():
     with pytest.raises(messages.MessageError) as caught:
         scaled_camera_info(CameraInfo(width=640, height=480), 320, 240, header())
     assert caught.value.kind == "camera_info"
+
+
+def compressed_message(pixels, suffix, kind):
+    data = cv2.imencode(suffix, pixels)[1].tobytes()
+    return CompressedImage(header=header(), format=kind, data=data)
+
+
+@pytest.mark.parametrize("order", MOSAICS)
+@pytest.mark.parametrize(
+    ("kind", "suffix", "dtype"),
+    [
+        ("bayer_{}8; png compressed ", ".png", np.uint8),
+        ("bayer_{}8; jpeg compressed ", ".jpg", np.uint8),
+        ("bayer_{}16; png compressed ", ".png", np.uint16),
+        ("bayer_{}16; jpeg compressed ", ".jpg", np.uint8),
+        ("bayer_{}8;png compressed", ".png", np.uint8),
+        ("bayer_{}8", ".png", np.uint8),
+        ("bayer_{}16; tiff compressed ", ".tiff", np.uint16),
+    ],
+)
+def test_compressed_mosaics_are_mosaics(order, kind, suffix, dtype):
+    smooth = np.linspace(20, 200, 24).astype(dtype) + np.zeros((16, 1), dtype)
+    pixels, encoding = messages.array_from_compressed(
+        compressed_message(smooth, suffix, kind.format(order))
+    )
+    assert encoding == f"bayer_{order}{8 * np.dtype(dtype).itemsize}"
+    np.testing.assert_allclose(pixels, smooth, atol=4 if suffix == ".jpg" else 0)
+    assert image_from_array(pixels, encoding, header()).encoding == encoding
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype", "kind", "encoding"),
+    [
+        ((16, 24), np.uint8, "mono8; png compressed ", "mono8"),
+        ((16, 24), np.uint16, "mono16; png compressed ", "mono16"),
+        ((16, 24, 3), np.uint8, "rgb8; png compressed bgr8", "rgb8"),
+        ((16, 24, 3), np.uint16, "rgb16; png compressed bgr16", "rgb16"),
+        # A driver that made colours of its mosaic first.
+        ((16, 24, 3), np.uint8, "bayer_rggb8; png compressed bgr8", "rgb8"),
+        ((16, 24), np.uint8, "png", "mono8"),
+    ],
+)
+def test_other_compressed_pictures_are_no_mosaics(shape, dtype, kind, encoding):
+    pixels = np.arange(np.prod(shape)).reshape(shape).astype(dtype)
+    found, name = messages.array_from_compressed(compressed_message(pixels, ".png", kind))
+    assert name == encoding
+    np.testing.assert_array_equal(found, pixels if pixels.ndim == 2 else pixels[..., ::-1])
+
+
+def test_floats_up_to_255_are_refused_with_what_to_do():
+    pixels = np.linspace(0, 255, 48, dtype=np.float32).reshape(6, 8)
+    with pytest.raises(InputError, match="divide by the value of white, such as 255"):
+        messages.frame_from_image(image_from_array(pixels, "32FC1", header()))
+
+
+def test_a_damaged_picture_is_a_fault_of_data():
+    pytest.importorskip("numba")
+    message = compressed_message(np.arange(9600, dtype=np.uint8).reshape(80, 120), ".jpg", "jpeg")
+    message.data = bytes(message.data)[:-200] + b"\xff\xd9"
+    with pytest.raises(messages.MessageError, match="damaged") as error:
+        messages.array_from_compressed(message)
+    assert error.value.kind == "data"

@@ -1,5 +1,6 @@
 """Pixel encodings of `sensor_msgs/Image` and `sensor_msgs/CompressedImage`."""
 
+import re
 import sys
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +11,10 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import MOSAICS, decode_picture
+
+_GREY_INTEGERS = ("mono8", "8UC1", "mono16", "16UC1")
+# What the format of a compressed mosaic begins with, or names somewhere.
+_MOSAIC_FORMAT = re.compile(rf"bayer_?({'|'.join(MOSAICS)})", re.IGNORECASE)
 
 
 class MessageError(InputError):
@@ -68,6 +73,26 @@ def output_encoding(name: str) -> str:
     return "rgb16" if encoding.dtype == "u2" else "rgb8"
 
 
+def mosaic_encoding(name: str, order: str) -> str:
+    """Encoding of images that a driver calls grey, but which are a mosaic of colour filters.
+
+    Parameters
+    ----------
+    name : str
+        Encoding that the message has; others than grey integers stay as they are.
+    order : str
+        Of the filters, one of `MOSAICS`; empty: the pixels are grey.
+
+    Examples
+    --------
+    >>> mosaic_encoding("mono16", "rggb"), mosaic_encoding("bgr8", "rggb")
+    ('bayer_rggb16', 'bgr8')
+    """
+    if not order or name not in _GREY_INTEGERS:
+        return name
+    return f"bayer_{order}{8 * np.dtype(ENCODINGS[name].dtype).itemsize}"
+
+
 def stamp_ns(header: Any) -> int:
     """Stamp of a header, ns."""
     return int(header.stamp.sec * 1_000_000_000 + header.stamp.nanosec)
@@ -114,26 +139,30 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
     """Pixels of a compressed image message, and their encoding.
 
     The message is a `sensor_msgs/CompressedImage` or anything with its fields; JPEG, PNG or another
-    format that OpenCV reads. Pixels are uint8 or uint16, [row, column] or [row, column, RGB], their
-    encoding mono8, mono16 or rgb8. Raises `MessageError` of kind "encoding" for the compressed
-    depth of image_transport and for colours of 16 bits, or "data".
+    format that OpenCV reads. Pixels are uint8 or uint16, [row, column] or [row, column, RGB].
+
+    Their encoding is mono8, mono16, rgb8 or rgb16; or, where grey pixels are a mosaic of colour
+    filters, that which `format` names, as image_transport has it: `bayer_rggb8; png compressed`.
+
+    Raises `MessageError` of kind "encoding" for the compressed depth of image_transport, or "data".
     """
     if "compressedDepth" in message.format:
         raise MessageError(
             "encoding", f"format {message.format!r} is compressed depth, expected a picture"
         )
-    pixels = decode_picture(message.data)
-    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
-        raise MessageError(
-            "data",
-            f"{len(message.data)} bytes of {message.format!r} are not a picture that can be read",
-        )
+    try:
+        pixels = decode_picture(message.data).pixels
+    except InputError as error:
+        what = f"{len(message.data)} bytes of {message.format!r} cannot be read: {error}"
+        raise MessageError("data", what) from error
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise MessageError("encoding", f"compressed pixels of {pixels.dtype} are not supported")
+    bits = 8 * pixels.dtype.itemsize
     if pixels.ndim == 2:
-        return pixels, "mono8" if pixels.dtype == np.uint8 else "mono16"
-    if pixels.dtype != np.uint8:
-        raise MessageError("encoding", "compressed colour of 16 bits is not supported")
+        mosaic = _MOSAIC_FORMAT.search(message.format)
+        return pixels, f"bayer_{mosaic[1].lower()}{bits}" if mosaic else f"mono{bits}"
     # image_transport stores pictures in the usual way, whatever encoding they had before.
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), "rgb8"
+    return pixels, f"rgb{bits}"
 
 
 def check_pixels(pixels: NDArray, encoding: str) -> Encoding:

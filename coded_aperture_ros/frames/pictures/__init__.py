@@ -1,0 +1,6 @@
+"""Stored pictures: decoding, damage, noise of compression."""
+
+from coded_aperture_ros.frames.pictures.decoding import StoredPicture, decode_picture
+from coded_aperture_ros.frames.pictures.jpeg import is_damaged_jpeg, quantisation_sigma
+
+__all__ = ["StoredPicture", "decode_picture", "is_damaged_jpeg", "quantisation_sigma"]
