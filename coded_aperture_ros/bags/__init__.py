@@ -4,7 +4,9 @@ The room stands behind the pipeline, because converting a bag needs it, and befo
 which a bag is a source of frames like a folder of pictures. Its files, in their order:
 
 - `contents`, `codec`, `topics`: topics and messages of a bag, and what the messages hold;
-- `complete`, `cut_mcap`, `cut_sqlite`, `opening`, `reading`, `writing`: the files of a bag;
+- `layout`, `mcap_records`, `mcap_file`, `sqlite_file`, `sqlite_recovery`, `opening`, `reading`: the
+  files of a bag, each as far as it can be read;
+- `mcap_writing`, `writing`: new bags;
 - `frames`, `messages`: one frame through the pipeline, and the messages of its results;
 - `score`, `frame_log`, `figures`, `page`: the report;
 - `engine`: work on frames, or on bags, by worker processes;

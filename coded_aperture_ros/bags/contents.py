@@ -1,11 +1,48 @@
 """Topics and messages of a bag, and how its files are named."""
 
 import dataclasses
+from pathlib import Path
 from typing import Any
 
 # Suffixes of the files of a bag, and the names of the storages.
 SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
+# Behind them, of a file that was compressed as a whole.
+PACKED = ".zstd"
 METADATA = "metadata.yaml"
+
+
+def storage_of(name: str) -> str | None:
+    """Storage of a file by its name, `mcap` or `sqlite3`; None if it is no file of a bag."""
+    return SUFFIXES.get(Path(name.lower().removesuffix(PACKED)).suffix)
+
+
+@dataclasses.dataclass(frozen=True)
+class ForeignSchema:
+    """Encoding of the messages of a program that is not of ROS 2, as an MCAP file describes it.
+
+    Attributes
+    ----------
+    message_encoding : str
+        Such as ``json``, ``protobuf``, ``ros1``.
+    name : str
+        Of the type; empty if the channel has no schema.
+    encoding : str
+        Of the schema, such as ``jsonschema``; empty without a schema.
+    data : bytes
+        The schema.
+    metadata : tuple of (str, str)
+        Of the channel.
+    """
+
+    message_encoding: str
+    name: str = ""
+    encoding: str = ""
+    data: bytes = b""
+    metadata: tuple[tuple[str, str], ...] = ()
+
+    def __str__(self) -> str:
+        encoding = self.message_encoding or "no encoding"
+        return f"{self.name or 'no schema'} ({encoding})"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -16,7 +53,7 @@ class Topic:
     ----------
     name : str
     type_name : str
-        Such as ``sensor_msgs/msg/Image``.
+        Such as ``sensor_msgs/msg/Image``; of another program's, its `foreign` in words.
     definition : str
         Of the type, with those of the types in it; empty if the bag has none.
     type_hash : str
@@ -25,6 +62,8 @@ class Topic:
         Profiles that were offered, as rosbags represents them.
     count : int or None
         Number of messages; None if unknown.
+    foreign : ForeignSchema or None
+        None if the messages are of ROS 2.
     """
 
     name: str
@@ -33,6 +72,10 @@ class Topic:
     type_hash: str = ""
     qos: tuple[Any, ...] = ()
     count: int | None = None
+    foreign: ForeignSchema | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name} of {self.type_name}"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,3 +94,24 @@ class BagMessage:
     topic: str
     time_ns: int
     data: bytes
+
+
+@dataclasses.dataclass(frozen=True)
+class Supplement:
+    """Attachment or metadata record of an MCAP file, which no message is.
+
+    Attributes
+    ----------
+    kind : str
+        ``attachment`` or ``metadata``.
+    name : str
+    content : bytes
+        Of the record, as it stands in the file.
+    """
+
+    kind: str
+    name: str
+    content: bytes
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"

@@ -185,7 +185,8 @@ class BagConversion:
         record = FrameLog(plan.image.type_name, self.bits, self.gamma, self.mosaic)
         with _prepared(plan, processes) as work, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
-            for topic in (*bag.topics.values(), *result_topics(plan.outputs, pipeline.deblurs)):
+            left_out = _add_contents(bag, writer)
+            for topic in result_topics(plan.outputs, pipeline.deblurs):
                 writer.add_topic(topic)
             record.start()
             steps = in_order(
@@ -205,6 +206,7 @@ class BagConversion:
                 reasons = "; ".join(record.reasons.values()) or "it ends before the first one"
                 raise InputError(f"{bag.path}: no frame could be used: {reasons}")
             results = self._results(bag, plan, target, record, preparation_s)
+            results["left_out"] = left_out
             write_report(writer.folder / REPORT, results, record)
         return results
 
@@ -273,13 +275,25 @@ def _prepared(plan: _Plan, processes: int) -> Iterator[Callable[[bytes], Process
         yield functools.partial(process, key)
 
 
+def _add_contents(bag: Bag, writer: BagWriter) -> list[str]:
+    """Add the topics and supplements of a bag to another one; return what that cannot take."""
+    for topic in bag.topics.values():
+        if writer.takes(topic):
+            writer.add_topic(topic)
+    for supplement in bag.supplements():
+        writer.add_supplement(supplement)
+    rest = [topic for topic in bag.topics.values() if not writer.takes(topic)]
+    return [str(topic) for topic in (*rest, *bag.left_out)]
+
+
 def _take(
     batch: Batch, result: ProcessedFrame | None, plan: _Plan, writer: BagWriter, record: FrameLog
 ) -> None:
     """Write messages and the results of their frame, and note them."""
     references = plan.references
     for message in batch.copies:
-        writer.write(message.topic, message.time_ns, message.data)
+        if message.topic in writer:
+            writer.write(message.topic, message.time_ns, message.data)
     if references:
         references.add_messages(batch.copies)
     if result is not None and batch.index is not None:

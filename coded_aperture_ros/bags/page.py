@@ -77,6 +77,8 @@ def html_page(title: str, parts: Iterable[str]) -> str:
 def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
     if results["damage"]:
         yield f"The bag was processed up to where it ends too early: {results['damage']}."
+    if results["left_out"]:
+        yield f"Not in the new bag: {', '.join(results['left_out'])}."
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) could not be used ({fault}): {reason}."
     for cause, count in results["depth"]["misfits"].items():

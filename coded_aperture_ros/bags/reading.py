@@ -5,18 +5,21 @@ rosbags is imported when a bag is opened, and not before.
 
 import dataclasses
 import os
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
-from coded_aperture_ros.bags.contents import METADATA, SUFFIXES, BagMessage, Topic
+from coded_aperture_ros.bags.contents import METADATA, BagMessage, Supplement, Topic, storage_of
 from coded_aperture_ros.core.errors import InputError
 
 
 def is_bag(path: str | os.PathLike[str]) -> bool:
     """Whether a path looks like a bag: its folder, whole or cut off, or a file of one."""
     path = Path(path)
-    return bool(_storage_files(path)) or (path / METADATA).is_file()
+    if path.is_dir():
+        names = [file.name for file in path.iterdir()]
+        return METADATA in names or any(map(storage_of, names))
+    return path.is_file() and storage_of(path.name) is not None
 
 
 class Bag(AbstractContextManager["Bag"]):
@@ -25,16 +28,17 @@ class Bag(AbstractContextManager["Bag"]):
     Parameters
     ----------
     path : str or path
-        Folder with `metadata.yaml`, or left without it, or a `.mcap` or `.db3` file.
+        Folder with `metadata.yaml`, or left without it, or a `.mcap` or `.db3` file, which may be
+        compressed (`.zstd`).
 
     Attributes
     ----------
     storage : str
         `mcap` or `sqlite3`.
     topics : dict of str to Topic
-        Of the files that can be read, in the order of their names.
-    damage : str
-        What is wrong with the bag; empty if nothing is, or nothing was met yet.
+        Of the files that can be read, in the order of their names; also those of other programs.
+    left_out : list of Topic
+        Those that have the name of another one, and other messages.
 
     Raises
     ------
@@ -58,35 +62,83 @@ class Bag(AbstractContextManager["Bag"]):
         check_rosbags()
         from coded_aperture_ros.bags.opening import open_parts
 
-        self._parts, damage = open_parts(self.path, _storage_files(self.path))
-        self.damage = "; ".join(damage)
-        self.storage = self._parts[0].storage
-        topics: dict[str, Topic] = {}
-        for topic in (topic for part in self._parts for topic in part.topics):
-            before = topics.get(topic.name)
-            topics[topic.name] = topic if before is None else _joined(before, topic)
-        self.topics = dict(sorted(topics.items()))
+        self._resources = ExitStack()
+        with self._resources:
+            self._parts, self._damage, layout = open_parts(self.path, self._resources)
+            self._packed = layout.packed_messages
+            self._lost = 0
+            self.storage = self._parts[0].storage
+            self.topics, self.left_out = self._joined(layout.type_hashes)
+            self._check_ros_2()
+            self._resources = self._resources.pop_all()
 
     def messages(self, *topics: str) -> Iterator[BagMessage]:
         """Yield the messages of topics, by default of all, in the order of their recording.
 
         They end where the bag is cut off, and `damage` says so.
         """
-        from coded_aperture_ros.bags.complete import DAMAGE, one_line
-
+        wanted = {
+            name: topic.type_name
+            for name, topic in self.topics.items()
+            if not topics or name in topics
+        }
         for part in self._parts:
-            try:
-                yield from part.messages(topics or tuple(self.topics))
-                met = part.damage
-            except DAMAGE as error:
-                met = f"{part.path.name} is damaged: {one_line(error)}"
-            if met not in self.damage:
-                self.damage = f"{self.damage}; {met}" if self.damage else met
+            messages = part.messages(wanted)
+            yield from self._unpacked(messages) if self._packed else messages
+
+    def supplements(self) -> Iterator[Supplement]:
+        """Yield what the files hold beside messages: attachments, and metadata of programs."""
+        for part in self._parts:
+            yield from part.supplements()
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with the bag, as far as it was read; empty if nothing is."""
+        lost = [f"{self._lost} messages cannot be unpacked"] if self._lost else []
+        return "; ".join(
+            [*self._damage, *(part.damage for part in self._parts if part.damage), *lost]
+        )
 
     def close(self) -> None:
-        """Close the files."""
-        for part in self._parts:
-            part.close()
+        """Close the files, and remove copies of them."""
+        self._resources.close()
+
+    def _joined(self, type_hashes: Mapping[str, str]) -> tuple[dict[str, Topic], list[Topic]]:
+        """Topics of all files by their names, those of ROS 2 first, and others of their names."""
+        topics: dict[str, Topic] = {}
+        others = []
+        every = [topic for part in self._parts for topic in part.topics]
+        for topic in sorted(every, key=lambda topic: topic.foreign is not None):
+            before = topics.get(topic.name)
+            if before is None:
+                type_hash = topic.type_hash or type_hashes.get(topic.name, "")
+                topics[topic.name] = dataclasses.replace(topic, type_hash=type_hash)
+            elif before.type_name == topic.type_name:
+                topics[topic.name] = _sum(before, topic)
+            elif topic.count != 0:
+                others.append(topic)
+        return dict(sorted(topics.items())), others
+
+    def _check_ros_2(self) -> None:
+        """Raise `InputError` if all messages are of ROS 1."""
+        encodings = {
+            topic.foreign.message_encoding for topic in self.topics.values() if topic.foreign
+        }
+        if "ros1" in encodings and all(topic.foreign for topic in self.topics.values()):
+            raise InputError(
+                f"{self.path}: messages of ROS 1, make a bag of ROS 2 from the .bag file that they "
+                "come from: rosbags-convert --src FILE.bag --dst FOLDER"
+            )
+
+    def _unpacked(self, messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
+        """Yield messages that were compressed one by one."""
+        from coded_aperture_ros.bags.damage import DAMAGE, zstd
+
+        for message in messages:
+            try:
+                yield dataclasses.replace(message, data=zstd.decompress(message.data))
+            except DAMAGE:
+                self._lost += 1
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -100,16 +152,11 @@ def check_rosbags() -> None:
         raise InputError("bags need rosbags: pip install rosbags") from error
 
 
-def _joined(one: Topic, other: Topic) -> Topic:
+def _sum(one: Topic, other: Topic) -> Topic:
     """Topic whose messages are in two files."""
     known = one.count is not None and other.count is not None
-    return dataclasses.replace(one, count=(one.count or 0) + (other.count or 0) if known else None)
-
-
-def _storage_files(path: Path) -> list[Path]:
-    """Files of a bag: those of the storage that comes first in `SUFFIXES`."""
-    files = list(path.iterdir()) if path.is_dir() else [path] if path.is_file() else []
-    for suffix in SUFFIXES:
-        if found := [file for file in files if file.suffix.lower() == suffix]:
-            return found
-    return []
+    return dataclasses.replace(
+        one,
+        definition=one.definition or other.definition,
+        count=(one.count or 0) + (other.count or 0) if known else None,
+    )

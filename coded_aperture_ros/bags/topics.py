@@ -126,4 +126,5 @@ def _named(
 
 
 def _listed(topics: Mapping[str, Topic]) -> str:
-    return f"only {', '.join(topics)}" if topics else "nor any other"
+    listed = (str(topic) if topic.foreign else name for name, topic in topics.items())
+    return f"only {', '.join(listed)}" if topics else "nor any other"

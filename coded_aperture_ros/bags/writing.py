@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.contents import METADATA, Topic
+from coded_aperture_ros.bags.contents import METADATA, Supplement, Topic
 from coded_aperture_ros.bags.reading import check_rosbags
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import temporary_folder
@@ -24,17 +24,29 @@ class BagWriter:
     """
 
     def __init__(self, folder: Path, storage: str) -> None:
-        from rosbags.rosbag2 import StoragePlugin, Writer
+        from rosbags.rosbag2 import StoragePlugin
+
+        from coded_aperture_ros.bags.mcap_writing import ForeignWriter, McapStorage
 
         self.folder = folder
         plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-        self._writer = Writer(folder, version=_VERSION, storage_plugin=plugin)
+        self._writer = ForeignWriter(folder, version=_VERSION, storage_plugin=plugin)
         self._writer.open()
+        opened = self._writer.storage
+        # Only an MCAP file takes what is not of ROS 2.
+        self._mcap = opened if isinstance(opened, McapStorage) else None
         self._connections: dict[str, Any] = {}
         self._closed = False
 
+    def takes(self, topic: Topic) -> bool:
+        """Whether a topic can be added: one of another program cannot, in SQLite."""
+        return topic.foreign is None or self._mcap is not None
+
     def add_topic(self, topic: Topic) -> None:
         """Add a topic; one without definition or hash of its type gets what is known of them."""
+        if topic.foreign is not None and self._mcap is not None:
+            self._connections[topic.name] = self._mcap.add_foreign(topic, topic.foreign)
+            return
         definition = topic.definition
         type_hash = topic.type_hash
         if not (definition and type_hash):
@@ -53,7 +65,16 @@ class BagWriter:
 
     def write(self, topic: str, time_ns: int, data: bytes | memoryview) -> None:
         """Write a message to a topic that was added."""
-        self._writer.write(self._connections[topic], time_ns, data)
+        connection = self._connections[topic]
+        if self._mcap is not None and connection.owner is self._mcap:
+            self._mcap.write(connection, time_ns, data)
+        else:
+            self._writer.write(connection, time_ns, data)
+
+    def add_supplement(self, supplement: Supplement) -> None:
+        """Write an attachment or a record of metadata into an MCAP file."""
+        if self._mcap is not None:
+            self._mcap.add_supplement(supplement)
 
     def close(self) -> None:
         """Write what a bag ends with; once is enough."""
@@ -69,14 +90,20 @@ class BagWriter:
 def _known_type(topic: Topic) -> tuple[str, str]:
     """Definition and hash of a topic's type, as far as they are known."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+    from rosbags.typesys.base import TypesysError
 
     store = get_typestore(Stores.ROS2_JAZZY)
-    if topic.definition and not topic.definition.startswith("==="):
-        types = get_types_from_msg(topic.definition, topic.type_name)
-        store.register({name: kind for name, kind in types.items() if name not in store.fielddefs})
-    if topic.type_name not in store.fielddefs:
-        return topic.definition, topic.type_hash or _NO_HASH
-    definition, _ = store.generate_msgdef(topic.type_name, ros_version=2)
+    unknown = topic.definition, topic.type_hash or _NO_HASH
+    try:
+        if topic.definition and not topic.definition.startswith("==="):
+            types = get_types_from_msg(topic.definition, topic.type_name)
+            new = {name: kind for name, kind in types.items() if name not in store.fielddefs}
+            store.register(new)
+        if topic.type_name not in store.fielddefs:
+            return unknown
+        definition, _ = store.generate_msgdef(topic.type_name, ros_version=2)
+    except TypesysError:  # nobody can read the definition: it is copied
+        return unknown
     return topic.definition or definition, topic.type_hash or store.hash_rihs01(topic.type_name)
 
 

@@ -171,6 +171,8 @@ def _warnings(source: Path, results: Summary) -> Iterator[str]:
     """Lines about a bag whose results are not as good as they might be."""
     if results["damage"]:
         yield f"{source}: processed up to the damage: {results['damage']}"
+    if results["left_out"]:
+        yield f"{source}: left out of the new bag: {', '.join(results['left_out'])}"
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}"
 

@@ -1,0 +1,237 @@
+"""MCAP files: complete, cut off, or damaged in the middle, and with channels of any program."""
+
+import heapq
+import os
+from array import array
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from operator import itemgetter
+from pathlib import Path
+
+import numpy as np
+from rosbags.rosbag2.storage_mcap import get_qos
+
+from coded_aperture_ros.bags import mcap_records as mcap
+from coded_aperture_ros.bags.contents import BagMessage, Supplement, Topic
+from coded_aperture_ros.bags.damage import DAMAGE
+
+_ROS_SCHEMAS = ("ros2msg", "ros2idl", "")
+_NAMES = {mcap.ATTACHMENT: "attachment", mcap.METADATA_RECORD: "metadata"}
+# Records of other kinds, but for those from 0x80, which are private, are damage.
+_KINDS = 0x0F
+_PRIVATE = 0x80
+# What rosbag2 writes for itself.
+_OF_ROSBAG2 = "rosbag2"
+
+
+class McapFile:
+    """MCAP file, as a part of a bag; one of `DAMAGE` if there is nothing of one.
+
+    Attributes
+    ----------
+    topics : list of Topic
+    """
+
+    storage = "mcap"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._file = path.open("rb")
+        self._descriptions = mcap.Descriptions()
+        self._chunks: list[mcap.Record] = []
+        self._starts_ns: dict[int, int] = {}
+        self._supplements: list[mcap.Record] = []
+        # Messages that are in no chunk: channel, time, position of their content and its end.
+        self._single: list[array[int]] = [array("Q") for _ in range(4)]
+        self._damaged: set[int] = set()
+        self._gaps = 0
+        try:
+            self._read()
+        except DAMAGE:
+            self.close()
+            raise
+
+    def messages(self, wanted: Mapping[str, str]) -> Iterator[BagMessage]:
+        """Yield messages in the order of their recording, of topics with their types."""
+        names = {
+            number: topic.name
+            for number, topic in self._topics.items()
+            if wanted.get(topic.name) == topic.type_name
+        }
+        streams = [self._chunk_messages(chunk, names) for chunk in self._chunks]
+        for time_ns, message in heapq.merge(*streams, self._singles(names), key=itemgetter(0)):
+            if message is not None:
+                yield BagMessage(message[0], time_ns, message[1])
+
+    def supplements(self) -> Iterator[Supplement]:
+        """Yield attachments and records of metadata, but for rosbag2's own."""
+        for record in self._supplements:
+            content = mcap.read_content(self._file, record)
+            try:
+                name = mcap.supplement_name(record.kind, content)
+            except DAMAGE:
+                self._damaged.add(record.start)
+                continue
+            if (record.kind, name) != (mcap.METADATA_RECORD, _OF_ROSBAG2):
+                yield Supplement(_NAMES[record.kind], name, content)
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with the file, as far as it was read."""
+        found = []
+        if self._damaged:
+            found.append(f"{len(self._damaged)} of its {len(self._chunks)} chunks are damaged")
+        if self._gaps:
+            found.append(f"{self._gaps} bytes between its records are damaged")
+        if self._undescribed:
+            found.append(f"{self._undescribed} messages are of channels that it does not describe")
+        parts = [f"{self.path.name}: {', '.join(found)}, and left out"] if found else []
+        if self._cut:
+            parts.append(f"{self.path.name} is cut off{self._cut}")
+        return "; ".join(parts)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _read(self) -> None:
+        """Go through the records, and unless the file has an index, through those of chunks."""
+        size = os.fstat(self._file.fileno()).st_size
+        counted: tuple[int, dict[int, int]] | None = None
+        begins_well = mcap.begins_well(self._file)
+        used = position = len(mcap.MAGIC) if begins_well else 0
+        for record in mcap.records(self._file, position, size):
+            self._gaps += record.start - mcap.RECORD.size - position
+            position = record.end
+            if record.kind == mcap.FOOTER:
+                used = size
+                break
+            try:
+                if record.kind == mcap.STATISTICS:
+                    counted = mcap.read_statistics(mcap.read_content(self._file, record))
+                used = max(used, self._take(record))
+            except DAMAGE:
+                self._gaps += record.end - record.start
+        if not (begins_well or self._chunks):
+            raise ValueError("it does not begin like an MCAP file")
+        counts = Counter(self._single[0])
+        channels = self._descriptions.channels()
+        known = counted is not None and counted[0] == len(self._chunks) and not self._gaps
+        if counted is not None and known and channels.keys() >= counted[1].keys():
+            counts = Counter(counted[1])
+        else:
+            used = max(used, self._scan(counts))
+            channels = self._descriptions.channels()
+        self._topics = {
+            number: topic_from_channel(channel, counts[number])
+            for number, channel in channels.items()
+        }
+        self.topics = list(self._topics.values())
+        self._undescribed = sum(n for number, n in counts.items() if number not in channels)
+        self._cut = ""
+        if mcap.summary_start(self._file, size) is None:
+            lost = size - used
+            self._cut = f", its last {lost} bytes cannot be used" if lost else ", it has no end"
+
+    def _take(self, record: mcap.Record) -> int:
+        """Note a record that is in no chunk; return where what can be used of it ends."""
+        if record.kind == mcap.CHUNK:
+            self._chunks.append(record)
+            self._starts_ns[record.start] = mcap.start_time_ns(self._file, record)
+            return 0  # until it was read
+        if not record.complete:
+            return 0
+        if record.kind == mcap.MESSAGE:
+            header = mcap.read_content(
+                self._file, mcap.Record(0, record.start, record.start + mcap.MESSAGE_HEADER.size)
+            )
+            channel, _, time_ns, _ = mcap.MESSAGE_HEADER.unpack(header)
+            values = channel, time_ns, record.start + len(header), record.end
+            for column, value in zip(self._single, values, strict=True):
+                column.append(value)
+        elif record.kind in (mcap.SCHEMA, mcap.CHANNEL):
+            self._descriptions.add(record.kind, mcap.read_content(self._file, record))
+        elif record.kind in _NAMES:
+            self._supplements.append(record)
+        elif _KINDS < record.kind < _PRIVATE:
+            self._gaps += record.end - record.start
+        return record.end
+
+    def _scan(self, counts: Counter[int]) -> int:
+        """Read all chunks for their descriptions and counts; return the end of what is usable."""
+        used = 0
+        for chunk in self._chunks:
+            found, unused = mcap.unpack_chunk(self._file, chunk)
+            for kind, content in found:
+                if kind == mcap.MESSAGE:
+                    counts[mcap.MESSAGE_HEADER.unpack_from(content)[0]] += 1
+                else:
+                    with suppress(*DAMAGE):
+                        self._descriptions.add(kind, content)
+            if unused and chunk.complete:
+                self._damaged.add(chunk.start)
+            if found:
+                used = chunk.end - unused
+        return used
+
+    def _chunk_messages(
+        self, chunk: mcap.Record, names: Mapping[int, str]
+    ) -> Iterator[tuple[int, tuple[str, bytes] | None]]:
+        """Yield the start of a chunk, before it is read, and then its messages."""
+        yield self._starts_ns[chunk.start], None
+        found, unused = mcap.unpack_chunk(self._file, chunk)
+        if unused and chunk.complete:
+            self._damaged.add(chunk.start)
+        messages = []
+        for kind, content in found:
+            if kind == mcap.MESSAGE:
+                channel, _, time_ns, _ = mcap.MESSAGE_HEADER.unpack_from(content)
+                if channel in names:
+                    data = content[mcap.MESSAGE_HEADER.size :]
+                    messages.append((time_ns, (names[channel], data)))
+        messages.sort(key=itemgetter(0))
+        yield from messages
+
+    def _singles(self, names: Mapping[int, str]) -> Iterator[tuple[int, tuple[str, bytes] | None]]:
+        channels, times_ns, starts, ends = self._single
+        for index in np.argsort(np.array(times_ns, np.uint64), kind="stable"):
+            if channels[index] in names:
+                record = mcap.Record(mcap.MESSAGE, starts[index], ends[index])
+                data = mcap.read_content(self._file, record)
+                yield times_ns[index], (names[channels[index]], data)
+
+
+def topic_from_channel(channel: mcap.Channel, count: int) -> Topic:
+    """Topic of a channel, with the number of its messages."""
+    schema = channel.schema
+    metadata = dict(schema.metadata)
+    type_name, definition = schema.name, ""
+    ros = schema.message_encoding == "cdr" and schema.name != ""
+    if ros and schema.encoding in _ROS_SCHEMAS:
+        definition = schema.data.decode(errors="replace")
+    elif ros:
+        # Other descriptions of types that ROS 2 has, such as IDL of the OMG.
+        type_name = _ros_name(schema.name)
+        ros = type_name in _known_types()
+    if not ros:
+        return Topic(channel.topic, str(schema), count=count, foreign=schema)
+    try:
+        qos = tuple(get_qos(channel.metadata))
+    except DAMAGE:
+        qos = ()
+    type_hash = metadata.get("topic_type_hash", "")
+    return Topic(channel.topic, type_name, definition, type_hash, qos, count)
+
+
+def _ros_name(name: str) -> str:
+    """Name of a type in the words of ROS 2: `sensor_msgs::msg::dds_::Image_` is of an Image."""
+    parts = name.replace("::", "/").split("/")
+    parts = [part.removesuffix("_") for part in parts if part != "dds_"]
+    return "/".join(parts if len(parts) != 2 else [parts[0], "msg", parts[1]])
+
+
+def _known_types() -> Mapping[str, object]:
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY).fielddefs
