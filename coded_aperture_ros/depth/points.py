@@ -35,7 +35,7 @@ def points_of_depth(
         Probability that the depth is right, and its standard deviation in metres.
     colours : ndarray, uint8 [rows, columns, RGB]
     rays : ndarray, float32 [rows, columns, 2]
-        See `optics.intrinsics.pixel_rays`.
+        See `optics.distortion.pixel_rays`.
     near_m, far_m : float, optional
         Distances given to pixels that are too near and beyond the range, m; 0: no point.
 

@@ -8,11 +8,9 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 
@@ -21,12 +19,15 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.options import has_type
 from coded_aperture_ros.frames import View
+from coded_aperture_ros.optics.distortion import distortion_model, pixel_rays
 
 _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-# Numbers of coefficients that each distortion model of ROS may have.
-_COEFFICIENT_COUNTS = {"plumb_bob": (4, 5), "rational_polynomial": (8, 12, 14), "equidistant": (4,)}
-# For undistortion: the five iterations of OpenCV's default leave errors of pixels.
-_UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-7)
+# The sides of pixels differ by less; a matrix whose focal lengths do is one of other pixels.
+_LARGEST_ASPECT = 1.5
+# P may have another focal length than K, but not in another unit.
+_OTHER_UNIT = 10.0
+# How far R may be from a rotation.
+_ROTATION_ERROR = 0.01
 _MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
 
 
@@ -43,6 +44,7 @@ class Intrinsics:
     distortion_coefficients : tuple of float, optional
         D; empty if there is no distortion.
     distortion_model : {"plumb_bob", "rational_polynomial", "equidistant"}, optional
+        Or a name of another program, which becomes one of these; see `distortion_model`.
     rectification_matrix : tuple of 9 float, optional
         R.
     projection_matrix : tuple of 12 float, optional
@@ -83,23 +85,34 @@ class Intrinsics:
             values = getattr(self, name)
             if len(values) != rows_ * columns or not all(map(math.isfinite, values)):
                 raise InputError(f"{name}: expected {rows_ * columns} finite numbers")
-        k = self.camera_matrix
-        p = self.projection_matrix
-        if not (k[0] > 0 and k[4] > 0 and p[0] > 0 and p[5] > 0):
-            raise InputError("camera_matrix: the focal lengths have to be more than 0 px")
+        self._check_matrices()
         d = self.distortion_coefficients
-        expected = _COEFFICIENT_COUNTS.get(self.distortion_model)
-        if expected is None:
+        if not all(map(math.isfinite, d)):
+            raise InputError("distortion_coefficients: expected finite numbers")
+        object.__setattr__(self, "distortion_model", distortion_model(self.distortion_model, d))
+
+    def _check_matrices(self) -> None:
+        """Raise `InputError` for values of finite matrices that no camera has."""
+        k, p = self.camera_matrix, self.projection_matrix
+        if min(k[0], k[4], p[0], p[5]) <= 0:
+            raise InputError("camera_matrix: the focal lengths have to be more than 0 px")
+        if k[3] or k[6] or k[7] or k[8] != 1:
+            raise InputError("camera_matrix: expected f 0 cx, 0 f cy, 0 0 1, row by row")
+        if max(k[0] / k[4], k[4] / k[0]) > _LARGEST_ASPECT:
+            raise InputError(f"camera_matrix: focal lengths of {k[0]:g} and {k[4]:g} px")
+        centre = ("cx", k[2], self.image_width), ("cy", k[5], self.image_height)
+        for name, centre_px, length in centre:
+            # A model for a part of a sensor may have its centre beside the picture.
+            if centre_px == 0 or not -length < centre_px < 2 * length:
+                raise InputError(f"camera_matrix: {name} of {centre_px:g} in {length} px")
+        if not all(1 / _OTHER_UNIT < scaled < _OTHER_UNIT for scaled in (p[0] / k[0], p[5] / k[4])):
             raise InputError(
-                f"distortion_model: {self.distortion_model!r} is not known, use one of "
-                f"{', '.join(_COEFFICIENT_COUNTS)}"
+                f"projection_matrix: focal lengths of {p[0]:g} and {p[5]:g} px, those of the "
+                f"camera_matrix are {k[0]:g} and {k[4]:g} px"
             )
-        if (d and len(d) not in expected) or not all(map(math.isfinite, d)):
-            counts = " or ".join(map(str, expected))
-            raise InputError(
-                f"distortion_coefficients: {self.distortion_model} has {counts} finite numbers, "
-                f"got {len(d)}"
-            )
+        rotation = np.reshape(self.rectification_matrix, (3, 3))
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=_ROTATION_ERROR):
+            raise InputError("rectification_matrix: it is no rotation (1 0 0, 0 1 0, 0 0 1 is one)")
 
     @classmethod
     def pinhole(cls, focal_length_px: float, image_width: int, image_height: int) -> "Intrinsics":
@@ -177,29 +190,6 @@ def scaled_matrix(
     return tuple(values)
 
 
-@lru_cache(maxsize=4)
-def pixel_rays(
-    model: str, k: tuple[float, ...], d: tuple[float, ...], rows: int, columns: int
-) -> FloatArray:
-    """Ray slopes x / z and y / z of the pixels, float32 [rows, columns, 2], without distortion.
-
-    `model`, `k` and `d` are those of a `sensor_msgs/CameraInfo`. Raises `InputError` if the number
-    of coefficients does not suit the model.
-    """
-    pixels = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float64)
-    matrix = np.reshape(k, (3, 3))
-    shape = pixels.shape
-    arguments = pixels.reshape(-1, 1, 2), matrix, np.array(d)
-    try:
-        if any(d) and model == "equidistant":
-            pixels = cv2.fisheye.undistortPoints(*arguments, P=matrix)
-        elif any(d):
-            pixels = cv2.undistortImagePoints(*arguments, None, _UNDISTORT_CRITERIA)
-    except cv2.error as error:
-        raise InputError(f"camera_info: {len(d)} coefficients do not suit {model}") from error
-    return np.asarray((pixels.reshape(shape) - [k[2], k[5]]) / [k[0], k[4]], np.float32)
-
-
 def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
     """Pinhole model from a calibration file of ROS tools.
 
@@ -234,8 +224,10 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
             if key not in content:
                 raise InputError(f"missing {key}")
         values = {key: content[key] for key in ("image_width", "image_height")}
-        names = ("camera_name", "distortion_model")
-        values |= {key: str(content[key]) for key in names if key in content}
+        # Older calibration programs of ROS write the model of a fisheye lens under another key.
+        for key, keys in (("camera_name", ()), ("distortion_model", ("camera_model",))):
+            given = [content[name] for name in (key, *keys) if content.get(name)]
+            values |= {key: str(given[0])} if given else {}
         shapes = {**_MATRICES, "distortion_coefficients": (1, None)}
         values |= {
             k: _parse_matrix(k, content[k], *shape) for k, shape in shapes.items() if k in content

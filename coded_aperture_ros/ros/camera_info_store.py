@@ -7,13 +7,12 @@ from typing import Any
 from urllib.parse import unquote
 
 from rclpy.node import Node
-from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.frames import is_same_view
-from coded_aperture_ros.io.messages import MessageError
+from coded_aperture_ros.io.messages import MessageError, intrinsics_from_info
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
@@ -135,26 +134,6 @@ class CameraInfoStore:
         response.status_message = f"saved in {self._path}{'' if self._frame_size else unchecked}"
         self._node.get_logger().info(f"camera_info {response.status_message}")
         return response
-
-
-def intrinsics_from_info(info: CameraInfo, camera_name: str) -> Intrinsics:
-    """Intrinsics of a message.
-
-    Raises
-    ------
-    InputError
-        If it has a value that no camera can have.
-    """
-    return Intrinsics(
-        image_width=int(info.width),
-        image_height=int(info.height),
-        camera_matrix=tuple(map(float, info.k)),
-        distortion_coefficients=tuple(map(float, info.d)),
-        distortion_model=info.distortion_model or "plumb_bob",
-        rectification_matrix=tuple(map(float, info.r)),
-        projection_matrix=tuple(map(float, info.p)) if info.p[0] else (),
-        camera_name=camera_name,
-    )
 
 
 def _scaled_to(model: Intrinsics, width: int, height: int) -> Intrinsics:

@@ -1,21 +1,21 @@
 """Camera model of a frame: the driver's, or else the camera file's."""
 
-import math
 from collections.abc import Callable
+from typing import Any
 
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import View
-from coded_aperture_ros.io.messages import view_from_camera_info
+from coded_aperture_ros.io.messages import (
+    CameraInfos,
+    contradiction,
+    has_matrices,
+    view_from_camera_info,
+)
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
-
-# Numbers of distortion coefficients that OpenCV has a model for.
-_COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
-# Models kept by their stamp: a frame may wait for its depth while so many others come.
-_KEPT_MODELS = 200
 
 
 def required_camera(path: str) -> Camera:
@@ -27,11 +27,8 @@ def required_camera(path: str) -> Camera:
     return load_camera(path)
 
 
-class CameraModel:
-    """Camera model to publish: the driver's if it sends one, else the camera file's.
-
-    The driver's region of interest and binning, or else its proportions, say which part of the
-    camera's view the frames are.
+class DriverInfo:
+    """Camera models that the driver sends.
 
     Parameters
     ----------
@@ -40,40 +37,35 @@ class CameraModel:
     """
 
     def __init__(self, reject: Callable[[str, str], None] = lambda kind, reason: None) -> None:
-        self._reject = reject
-        self._received: CameraInfo | None = None
-        self._by_stamp: dict[int, CameraInfo] = {}
+        self._infos = CameraInfos(lambda reason: reject("camera_info", reason))
 
     def receive(self, info: CameraInfo) -> None:
-        """Keep a model from the driver; one without a calibration (K is 0) is ignored."""
-        if info.k[0] == 0:
-            return
-        try:
-            _check(info)
-        except InputError as error:
-            used = "using the camera_info before it, or else the camera file"
-            self._reject("camera_info", f"camera_info: {error}; {used}")
-            return
-        self._received = info
-        by_stamp = self._by_stamp
-        if stamp := stamp_ns(info.header):
-            by_stamp.pop(stamp, None)  # a repeated one moves to the end: it is dropped last
-            by_stamp[stamp] = info
-        if len(by_stamp) > _KEPT_MODELS:
-            del by_stamp[next(iter(by_stamp))]
+        """Keep a model from the driver."""
+        self._infos.receive(info)
 
     def forget_stamps(self) -> None:
         """Keep the newest model only: stamps repeat after the clock has jumped back."""
-        self._by_stamp = {}
+        self._infos.forget_stamps()
 
     def at(self, header: Header) -> "CameraModel":
-        """Model for all outputs of one frame, which later messages do not change.
+        """Model for all outputs of one frame, which later messages do not change."""
+        return CameraModel(self._infos.at(stamp_ns(header)))
 
-        It is the one with the frame's stamp, or else the newest.
-        """
-        model = CameraModel()
-        model._received = self._by_stamp.get(stamp_ns(header), self._received)
-        return model
+
+class CameraModel:
+    """Camera model to publish for a frame: the driver's if it sends one, else the camera file's.
+
+    The driver's region of interest and binning, or else its proportions, say which part of the
+    camera's view the frame is.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo or None
+        Of the frame's time.
+    """
+
+    def __init__(self, info: Any = None) -> None:
+        self._info = info
 
     def info(
         self,
@@ -83,22 +75,19 @@ class CameraModel:
         header: Header,
     ) -> CameraInfo:
         """Camera model of an output of a frame; sizes are (height, width), pixels."""
-        info = self._received
-        if info is None or self._view(camera, frame_size) is None:
-            info = camera_info_from_camera(camera, header)
+        info = self._info
+        if info is None or not has_matrices(info) or self.complaint(camera, frame_size):
+            view = self._view(camera, frame_size)
+            shown = camera if view is None else _shown(camera, view)
+            info = camera_info_from_camera(shown, header)
         return scaled_camera_info(info, output_size[1], output_size[0], header)
 
     def complaint(self, camera: Camera, frame_size: tuple[int, int]) -> str:
         """Reason why the driver's model cannot be that of the frames (height, width), or ""."""
-        info = self._received
+        info = self._info
         height, width = frame_size
-        if info is None or self._view(camera, frame_size) is not None:
-            return ""
-        size = f"{info.roi.width or info.width}x{info.roi.height or info.height}"
-        return (
-            f"camera_info is for {size}, which does not have the proportions "
-            f"of the {width}x{height} frames: publishing that of the camera file"
-        )
+        reason = "" if info is None else contradiction(info, width, height, camera)
+        return reason and f"{reason}: publishing that of the camera file"
 
     def view(self, camera: Camera, frame_size: tuple[int, int]) -> View:
         """Part of the camera's view that frames (height, width) show."""
@@ -106,19 +95,9 @@ class CameraModel:
 
     def _view(self, camera: Camera, frame_size: tuple[int, int]) -> View | None:
         height, width = frame_size
-        return self._received and view_from_camera_info(self._received, width, height, camera)
+        return self._info and view_from_camera_info(self._info, width, height, camera)
 
 
-def _check(info: CameraInfo) -> None:
-    """Raise an `InputError` if a driver's model has a value that no camera can have.
-
-    The name of its distortion model does not matter: OpenCV goes by the number of coefficients, and
-    region and binning do not depend on it.
-    """
-    if not (info.width and info.height):
-        raise InputError("width or height is 0: set the size of the pictures in the driver")
-    if not all(map(math.isfinite, (*info.k, *info.d))) or min(info.k[0], info.k[4]) <= 0:
-        raise InputError("expected finite K and D, with focal lengths above 0: calibrate again")
-    counts = (4,) if info.distortion_model == "equidistant" else _COEFFICIENT_COUNTS
-    if any(info.d) and len(info.d) not in counts:
-        raise InputError(f"D has {len(info.d)} coefficients, no lens model has: calibrate again")
+def _shown(camera: Camera, view: View) -> Camera:
+    """Camera of what a view shows; the camera may be for another size of the whole view."""
+    return camera.resized(view.whole_width, view.whole_height).for_view(view)

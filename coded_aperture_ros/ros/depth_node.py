@@ -46,7 +46,7 @@ from coded_aperture_ros.likelihood.bank import LearnConfig
 from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_motion_config
 from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
-from coded_aperture_ros.optics.intrinsics import pixel_rays
+from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint

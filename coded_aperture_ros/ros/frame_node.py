@@ -18,7 +18,7 @@ from coded_aperture_ros.core.options import option
 from coded_aperture_ros.frames import MOSAICS, PixelFormat
 from coded_aperture_ros.frames.pictures import quantisation_sigma
 from coded_aperture_ros.io.messages import MessageError, mosaic_encoding
-from coded_aperture_ros.ros.camera_model import CameraModel
+from coded_aperture_ros.ros.camera_model import DriverInfo
 from coded_aperture_ros.ros.diagnostics import (
     Complaint,
     DiagnosticsConfig,
@@ -95,7 +95,7 @@ class FrameNode(ManagedNode, Generic[Item]):
     outputs : mapping of str to type
         Topics that the node publishes, and their message types.
     statistics : Statistics
-    driver_info : CameraModel
+    driver_info : DriverInfo
         Camera model that the driver sends.
     """
 
@@ -114,7 +114,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.statistics = Statistics()
         self._outputs = Outputs(self, self.outputs, local)
         self._inputs = Inputs(self, local)
-        self.driver_info = CameraModel(self.reject)
+        self.driver_info = DriverInfo(self.reject)
         # Before the frames: the executor serves the oldest subscription first.
         self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}

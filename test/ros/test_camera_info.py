@@ -16,6 +16,7 @@ def told(focal_length_px, header=None, **changes):
     """Return what a driver says of the camera of a frame."""
     info = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob", d=[0.0] * 5)
     info.k = [focal_length_px, 0.0, 63.5, 0.0, focal_length_px, 47.5, 0.0, 0.0, 1.0]
+    info.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     if header is not None:
         info.header = header
     for name, value in changes.items():
@@ -97,17 +98,26 @@ def test_the_driver_sends_camera_info_before_its_frame(ros, camera_file):
 
 NAN = float("nan")
 BROKEN = {
-    "coefficients": ({"d": [0.1] * 3}, "D has 3 coefficients"),
-    "nan in D": ({"d": [0.1, NAN, 0.0, 0.0, 0.0]}, "finite K and D"),
-    "nan in K": ({"k": [400.0, 0.0, NAN, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "finite K and D"),
+    "coefficients": ({"d": [0.1] * 3}, "plumb_bob has 4 or 5 or 8 or 12 or 14 numbers, got 3"),
+    "nan in D": (
+        {"d": [0.1, NAN, 0.0, 0.0, 0.0]},
+        "distortion_coefficients: expected finite numbers",
+    ),
+    "nan in K": (
+        {"k": [400.0, 0.0, NAN, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]},
+        "camera_matrix: expected 9",
+    ),
     "nan focal length": (
         {"k": [NAN, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]},
-        "finite K and D",
+        "camera_matrix: expected 9 finite numbers",
     ),
     "negative": (
         {"k": [-400.0, 0.0, 63.5, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]},
-        "focal lengths above 0",
+        "focal lengths have to be more than 0 px",
     ),
+    "nan in P": ({"p": [400.0, 0.0, NAN] + [0.0] * 9}, "projection_matrix: expected 12"),
+    "zeros in R": ({"r": [0.0] * 9}, "rectification_matrix: it is no rotation"),
+    "centre": ({"k": [400.0, 0.0, 0.0, 0.0, 400.0, 47.5, 0.0, 0.0, 1.0]}, "cx of 0 in 128 px"),
     "size": ({"width": 0}, "width or height is 0"),
 }
 

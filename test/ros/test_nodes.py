@@ -38,7 +38,7 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import load_camera, render_psf
-from coded_aperture_ros.optics.intrinsics import pixel_rays
+from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.ros import frame_node
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
@@ -195,10 +195,7 @@ def test_frames_of_webcams_and_mosaics_are_deblurred_as_rgb(ros, model, coded, e
 
 def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
     chain = Chain(ros, model, **{"output.size": "half"})
-    given = CameraInfo(width=WIDTH, height=HEIGHT, distortion_model="plumb_bob")
-    given.k = [410.0, 0.0, 60.0, 0.0, 420.0, 50.0, 0.0, 0.0, 1.0]
-    given.d = [0.1, 0.0, 0.0, 0.0, 0.0]
-    chain.tell(given)
+    chain.tell(calibration(WIDTH, HEIGHT))
     info = chain.result(mono8(coded), "depth/camera_info")
     assert list(info.k) == [205, 0, 29.75, 0, 210, 24.75, 0, 0, 1]
     assert list(info.d) == [0.1, 0, 0, 0, 0]
@@ -208,7 +205,10 @@ def test_the_drivers_camera_info_is_scaled_and_passed_on(ros, model, coded):
 def calibration(width, height):
     """Return a camera model for frames of some size."""
     given = CameraInfo(width=width, height=height, distortion_model="plumb_bob")
-    given.k = [410.0, 0.0, 60.0, 0.0, 420.0, 50.0, 0.0, 0.0, 1.0]
+    scale = width / WIDTH
+    k = [410.0 * scale, 0.0, 60.0 * scale, 0.0, 420.0 * scale, 50.0 * scale, 0.0, 0.0, 1.0]
+    given.k = k
+    given.r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     given.d = [0.1, 0.0, 0.0, 0.0, 0.0]
     return given
 
@@ -219,8 +219,8 @@ def test_a_camera_info_of_another_size_is_scaled_to_the_frames(ros, model, coded
     chain.tell(calibration(round(WIDTH * factor), round(HEIGHT * factor)))
     info = chain.result(mono8(coded), "depth/camera_info")
     assert (info.width, info.height) == (WIDTH, HEIGHT)
-    assert info.k[0] == pytest.approx(410 / factor)
-    assert info.k[4] == pytest.approx(420 / factor)
+    assert info.k[0] == pytest.approx(410)
+    assert info.k[4] == pytest.approx(420)
     assert list(info.d) == [0.1, 0, 0, 0, 0]
     assert chain.rejected == {}
 

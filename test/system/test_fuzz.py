@@ -24,11 +24,16 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.frame import StampOrder
-from coded_aperture_ros.io.messages import ENCODINGS, array_from_image, pixels_from_frame
+from coded_aperture_ros.io.messages import (
+    ENCODINGS,
+    array_from_image,
+    intrinsics_from_info,
+    pixels_from_frame,
+)
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
-from coded_aperture_ros.ros.camera_info_store import camera_info_path, intrinsics_from_info
-from coded_aperture_ros.ros.camera_model import CameraModel
+from coded_aperture_ros.ros.camera_info_store import camera_info_path
+from coded_aperture_ros.ros.camera_model import DriverInfo
 from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 from coded_aperture_ros.ros.messages import image_from_array, image_from_compressed
@@ -189,9 +194,9 @@ def camera_infos(draw):
 @given(info=camera_infos())
 @cases(1000)
 def test_camera_infos(nodes, folder, info):
-    model, camera = CameraModel(), load_camera(folder / "camera.yaml")
-    model.receive(info)
-    out = model.info(camera, (HEIGHT, WIDTH), (HEIGHT // 2, WIDTH // 2), Header())
+    driver, camera = DriverInfo(), load_camera(folder / "camera.yaml")
+    driver.receive(info)
+    out = driver.at(info.header).info(camera, (HEIGHT, WIDTH), (HEIGHT // 2, WIDTH // 2), Header())
     assert (out.width, out.height) == (WIDTH // 2, HEIGHT // 2)
     try:
         measured = intrinsics_from_info(info, "camera")

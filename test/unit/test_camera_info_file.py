@@ -121,7 +121,10 @@ def test_only_what_is_needed_has_to_be_there(tmp_path):
             {"distortion_coefficients": matrix(2, 5, [0] * 10)},
             "distortion_coefficients: expected 1",
         ),
-        ({"distortion_model": "fisheye"}, "distortion_model: 'fisheye' is not known"),
+        (
+            {"distortion_model": "fov", "distortion_coefficients": matrix(1, 1, [0.9])},
+            "distortion_model: 'fov' is not known",
+        ),
         ({"projection_matrix": matrix(3, 3, [1] * 9)}, "projection_matrix: expected 3 rows and 4"),
     ],
 )

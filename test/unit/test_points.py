@@ -16,7 +16,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
-from coded_aperture_ros.optics.intrinsics import pixel_rays
+from coded_aperture_ros.optics.distortion import pixel_rays
 
 K = (100.0, 0.0, 1.0, 0.0, 50.0, 2.0, 0.0, 0.0, 1.0)
 WIDE = (420.0, 0.0, 310.0, 0.0, 430.0, 235.0, 0.0, 0.0, 1.0)
@@ -86,12 +86,6 @@ def test_rectified_depth_suits_a_pinhole_as_points_suit_the_lens():
     assert off(points) < 1e-5
     assert off(pinhole * rectified[..., None]) < 3e-3  # half a pixel
     assert off(pinhole * depth[..., None]) > 0.02  # not rectified
-
-
-@pytest.mark.parametrize(("model", "count"), [("plumb_bob", 3), ("equidistant", 5)])
-def test_coefficients_that_no_model_has_are_refused(model, count):
-    with pytest.raises(InputError, match=f"{count} coefficients do not suit {model}"):
-        pixel_rays(model, WIDE, (0.1,) * count, 4, 5)
 
 
 def test_the_nearest_obstacle_is_not_a_speck():

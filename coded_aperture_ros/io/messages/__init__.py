@@ -3,7 +3,15 @@
 A message is any object with the fields of its type: those of rclpy and those read from a bag.
 """
 
-from coded_aperture_ros.io.messages.camera_info import scaled_matrices, view_from_camera_info
+from coded_aperture_ros.io.messages.camera_info import (
+    check_camera_info,
+    contradiction,
+    has_matrices,
+    intrinsics_from_info,
+    scaled_matrices,
+    view_from_camera_info,
+)
+from coded_aperture_ros.io.messages.camera_infos import CameraInfos
 from coded_aperture_ros.io.messages.compressed import (
     DEPTH_FORMATS,
     compressed_depth,
@@ -34,15 +42,20 @@ from coded_aperture_ros.io.messages.frames import (
 __all__ = [
     "DEPTH_FORMATS",
     "ENCODINGS",
+    "CameraInfos",
     "MessageError",
     "array_from_compressed",
     "array_from_image",
+    "check_camera_info",
     "check_pixels",
     "compressed_depth",
     "compressed_picture",
+    "contradiction",
     "depth_from_pixels",
     "depth_pixels",
     "frame_from_image",
+    "has_matrices",
+    "intrinsics_from_info",
     "limit_depth",
     "luminance",
     "millimetres_from_depth",

@@ -5,35 +5,142 @@ neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K an
 """
 
 import math
+from types import SimpleNamespace
 from typing import Any
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.io.messages.encodings import MessageError
 from coded_aperture_ros.optics.camera import Camera
-from coded_aperture_ros.optics.intrinsics import scaled_matrix
+from coded_aperture_ros.optics.intrinsics import Intrinsics, scaled_matrix
+
+# Lenses differ by less from what a camera file says of them. A calibration that was scaled for
+# binning once too often differs by 2 or more.
+_LARGEST_FACTOR = math.sqrt(2)
 
 
-def view_from_camera_info(info: Any, width: int, height: int, camera: Camera) -> View | None:
+def check_camera_info(info: Any) -> None:
+    """Check that a camera model has no value that no camera can have.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo
+        Of rclpy or of rosbags. One without a calibration, whose K is 0, is not for this.
+
+    Raises
+    ------
+    MessageError
+        Of kind "camera_info"; see `Intrinsics`.
+    """
+    if not (info.width and info.height):
+        reason = "width or height is 0: set the size of the pictures in the driver"
+        raise MessageError("camera_info", f"camera_info: {reason}")
+    try:
+        intrinsics_from_info(info)
+    except InputError as error:
+        raise MessageError("camera_info", f"camera_info: {error}: calibrate again") from error
+
+
+def contradiction(info: Any, width: int, height: int, camera: Camera) -> str:
+    """Why a model cannot be that of a camera's frames of this size; empty if it can.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo
+    width, height : int
+        Size of the frames, px.
+    camera : Camera
+        Of the whole view, in any size.
+    """
+    if view_from_camera_info(info, width, height, camera) is None:
+        size = f"{info.roi.width or info.width}x{info.roi.height or info.height}"
+        return (
+            f"camera_info is for {size}, which does not have the proportions "
+            f"of the {width}x{height} frames"
+        )
+    if not has_matrices(info):
+        return ""
+    columns = _region(info)[2]
+    factor = min(_focal_factors(info, _scale(width, columns, info.binning_x), width, camera))
+    if factor <= math.log(_LARGEST_FACTOR):
+        return ""
+    whole_px = camera.focal_length_px * info.width / camera.image_width
+    return (
+        f"camera_info has a focal length of {info.k[0]:g} px, the camera file {whole_px:g} px in a "
+        "view of this width: calibrate in pixels of the whole sensor, or correct the camera file"
+    )
+
+
+def has_matrices(info: Any) -> bool:
+    """Whether a message has a calibration: without one K is 0."""
+    return bool(info.k[0])
+
+
+def without_matrices(info: Any) -> Any:
+    """Region and binning of a message, without its calibration."""
+    region = {name: getattr(info, name) for name in ("width", "height", "binning_x", "binning_y")}
+    return SimpleNamespace(**region, roi=info.roi, k=(0.0,) * 9, header=info.header)
+
+
+def view_from_camera_info(info: Any, width: int, height: int, camera: Camera | None) -> View | None:
     """View of a frame of this size in a camera's whole view; None if it cannot be a part of it.
 
     A frame of another size than binning gives is taken to be the region resized. Where the focal
     length of the message is that of a camera file for frames of the region, not for those of the
-    whole sensor, the region is all of the file's view.
+    whole sensor, the region is all of the file's view. Without a focal length, it is where the
+    file is for frames of the region's size.
     """
     left, top, columns, rows = _region(info)
     x = _scale(width, columns, info.binning_x)
     y = _scale(height, rows, info.binning_y)
     inside = 0 < left + columns <= info.width and 0 < top + rows <= info.height
-    if not inside or min(info.k[0], info.k[4]) <= 0 or abs(rows * x - height) > 1.0:
+    if not inside or abs(rows * x - height) > 1.0:
         return None
     whole = int(info.width * x + 1e-6), int(info.height * y + 1e-6)
-    angle = camera.focal_length_px / camera.image_width
-    frame_error, whole_error = (
-        abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole[0])
-    )
-    if frame_error < whole_error:
+    if camera is not None and _is_all(info, x, (width, height), whole, camera):
         return View.whole(width, height)
     return View(width, height, *whole, left * x, top * y, max(info.binning_x, info.binning_y) > 1)
+
+
+def _is_all(
+    info: Any, x: float, size: tuple[int, int], whole: tuple[int, int], camera: Camera
+) -> bool:
+    """Whether a region is all of the view that a camera file is for."""
+    if has_matrices(info):
+        frame_error, whole_error = _focal_factors(info, x, size[0], camera)
+        return frame_error < whole_error
+    return (camera.image_width, camera.image_height) == size != whole
+
+
+def _focal_factors(info: Any, x: float, width: int, camera: Camera) -> tuple[float, float]:
+    """Logarithms of how many times K's focal length is that of a camera file, without sign.
+
+    The first is for a file of frames of the region, the second for one of the whole sensor.
+    """
+    angle = camera.focal_length_px / camera.image_width
+    whole = int(info.width * x + 1e-6)
+    of_frame, of_whole = (abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole))
+    return of_frame, of_whole
+
+
+def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
+    """Intrinsics of a message, for the whole sensor.
+
+    Raises
+    ------
+    InputError
+        If it has a value that no camera can have.
+    """
+    return Intrinsics(
+        image_width=int(info.width),
+        image_height=int(info.height),
+        camera_matrix=tuple(map(float, info.k)),
+        distortion_coefficients=tuple(map(float, info.d)),
+        distortion_model=info.distortion_model,
+        rectification_matrix=tuple(map(float, info.r)),
+        projection_matrix=tuple(map(float, info.p)) if any(info.p) else (),
+        camera_name=camera_name,
+    )
 
 
 def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
