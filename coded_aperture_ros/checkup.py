@@ -140,8 +140,8 @@ class FrameCheckup:
         """Findings about a frame: size, saturation, noise, fit, share of known depth."""
         height, width = frame.shape
         try:
-            check_frame_size(self._bank, width, height)
-            camera = self._camera.resized(width, height)
+            check_frame_size(self._bank, *frame.whole_size)
+            camera = self._camera.resized(*frame.whole_size)
         except InputError as error:
             return [_failed("size", error)]
         found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame.light)]

@@ -6,6 +6,7 @@ through `FramePipeline`; `docs/architecture.md` walks on from here.
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -146,9 +147,14 @@ class FramePipeline:
         """
         self.reset()
         waiting: deque[Frame] = deque()
+        following = map(Frame.of, frames)
+        first = next(following, None)
+        if first is None:
+            return
+        self._show(first)
 
         def kept() -> Iterator[Frame]:
-            for frame in map(Frame.of, frames):
+            for frame in chain([first], following):
                 waiting.append(frame)
                 yield frame
 

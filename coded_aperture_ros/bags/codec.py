@@ -17,6 +17,7 @@ from coded_aperture_ros.io.messages import (
     check_pixels,
     depth_pixels,
     mosaic_encoding,
+    has_matrices,
     output_encoding,
     parse_encoding,
     scaled_matrices,
@@ -126,6 +127,17 @@ def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryvie
         roi=_whole_view(),
     )
     return _store().serialize_cdr(resized, CAMERA_INFO)
+
+
+def camera_info_copy(info: Any, header: Any) -> memoryview:
+    """Serialised camera model as a bag has it, with another header."""
+    copy = camera_info_message(Intrinsics.pinhole(1.0, int(info.width), int(info.height)))
+    same = {name: getattr(info, name) for name in ("roi", "binning_x", "binning_y")}
+    same["k"] = np.array(info.k, np.float64)
+    if has_matrices(info):
+        same |= {name: getattr(info, name) for name in ("distortion_model", "d", "r", "p")}
+    copy = dataclasses.replace(copy, header=header, **same)
+    return _store().serialize_cdr(copy, CAMERA_INFO)
 
 
 def camera_info_message(model: Intrinsics) -> Any:

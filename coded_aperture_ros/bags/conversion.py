@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags import frames
+from coded_aperture_ros.bags.camera_infos import first_info, with_infos
 from coded_aperture_ros.bags.codec import IMAGE, new_topic, read_picture
 from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.bags.engine import in_order, workers_starting
@@ -26,8 +27,8 @@ from coded_aperture_ros.bags.frames import (
 )
 from coded_aperture_ros.bags.messages import (
     Batch,
+    FrameViews,
     batches,
-    first_info,
     result_messages,
     result_topics,
     warm_up,
@@ -50,6 +51,7 @@ from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import map_size
 from coded_aperture_ros.frames import ExpectedMotion, Gamma, View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
+from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.pipeline import FramePipeline
 
@@ -191,7 +193,7 @@ class BagConversion:
             record.start()
             steps = in_order(
                 work,
-                ((batch, batch.frame) for batch in plan.batches(bag)),
+                ((batch, batch.frame) for batch in plan.batches(bag, record.note_camera_info)),
                 processes=processes,
                 window=_WINDOW * processes,
             )
@@ -222,6 +224,7 @@ class BagConversion:
             "topic": plan.image.name,
             "outputs": plan.outputs.present(record.layers),
             "damage": bag.damage,
+            "camera_info": dict(record.camera_info),
             "frames": record.frames,
             "used": record.used,
             "faults": dict(record.faults),
@@ -251,10 +254,13 @@ class _Plan:
     processor: FrameProcessor
     first: bytes  # message of a frame that can be used
 
-    def batches(self, bag: Bag) -> Iterator[Batch]:
-        """Messages of the bag, up to and with a frame at a time."""
+    def batches(self, bag: Bag, refuse: Callable[[str], None]) -> Iterator[Batch]:
+        """Messages of the bag, up to and with a frame at a time; see `batches`."""
         info_topic = camera_info_topic(bag.topics, self.image)
-        return batches(bag, self.image.name, info_topic, self.recipe.camera, self.recipe.view)
+        bank = filter_bank(self.processor.pipeline.estimator.model)
+        by_place = bank is not None and bank.field is not None
+        views = FrameViews(self.recipe.camera, self.recipe.view, by_place)
+        return batches(bag, self.image.name, info_topic, views, refuse)
 
 
 @contextmanager
@@ -296,6 +302,8 @@ def _take(
             writer.write(message.topic, message.time_ns, message.data)
     if references:
         references.add_messages(batch.copies)
+    if batch.moved:
+        result = ProcessedFrame("camera_info", batch.moved)
     if result is not None and batch.index is not None:
         for topic, data in result_messages(result, batch.info, plan.outputs):
             if topic not in writer:  # of a layer that no frame had before
@@ -313,9 +321,13 @@ def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Ca
 
     The camera has the scale of the frames. An `InputError` if there is no such message.
     """
-    info = first_info(bag, camera_info_topic(bag.topics, topic))
+    info_topic = camera_info_topic(bag.topics, topic)
+    first = first_info(bag, info_topic)
     reason = ""
-    for message in bag.messages(topic.name):
+    names = (topic.name,) if info_topic is None else (topic.name, info_topic)
+    for message, info in with_infos(bag.messages(*names), topic.name, info_topic, first):
+        if message.topic != topic.name:
+            continue
         try:
             height, width = read_picture(message.data, topic.type_name).pixels.shape[:2]
             view = (info and view_from_camera_info(info, width, height, camera)) or View.whole(

@@ -67,6 +67,8 @@ class FrameLog:
         Number of frames that could not be used, by the reason in a word.
     reasons : dict of str to str
         First reason of each kind in a line.
+    camera_info : Counter
+        Number of camera models that were not used, by the reason in a line.
     samples : dict of int to Sample
         At most four frames, spread over the recording, by index.
     scores : dict of int to FrameScore
@@ -85,6 +87,7 @@ class FrameLog:
         self.frames = 0
         self.faults: Counter[str] = Counter()
         self.reasons: dict[str, str] = {}
+        self.camera_info: Counter[str] = Counter()
         self.samples: dict[int, Sample] = {}
         self.scores: dict[int, FrameScore] = {}
         self.layers: dict[str, None] = {}
@@ -104,6 +107,10 @@ class FrameLog:
         """Stop the clock."""
         self._stop_s = time.perf_counter()
         self._processor_s += time.process_time() - self._own_start_s
+
+    def note_camera_info(self, reason: str) -> None:
+        """Count a camera model that was not used."""
+        self.camera_info[reason] += 1
 
     @property
     def used(self) -> int:

@@ -1,19 +1,19 @@
 """Messages of a bag, frame by frame, and messages of the results."""
 
 import dataclasses
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 
 from coded_aperture_ros.bags import codec
+from coded_aperture_ros.bags.camera_infos import first_info, with_infos
 from coded_aperture_ros.bags.contents import BagMessage, Topic
 from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.topics import Outputs
 from coded_aperture_ros.frames import View
-from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
+from coded_aperture_ros.io.messages import contradiction, has_matrices, view_from_camera_info
 from coded_aperture_ros.optics import Camera
 
 # Messages that are copied wait for the next frame, but not more of them than this.
@@ -30,21 +30,66 @@ class Batch:
     index : int or None
         Of the frame in its topic, which is the last of the messages; None: none of them is one.
     info : message
-        Camera model of that time.
+        Camera model of the frame.
+    moved : str
+        Why the frame cannot be used, where it shows another part of the view than the others.
     """
 
     copies: tuple[BagMessage, ...]
     index: int | None
     info: Any
+    moved: str = ""
 
     @property
     def frame(self) -> bytes | None:
-        """Message of the frame, if there is one."""
-        return None if self.index is None else self.copies[-1].data
+        """Message of the frame, if there is one that can be used."""
+        return None if self.index is None or self.moved else self.copies[-1].data
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class FrameViews:
+    """What is expected of the frames' camera models.
+
+    Attributes
+    ----------
+    camera : Camera
+        Of the whole view. Its model takes the place of one that is missing or refused.
+    view : View
+        What the frames show of it.
+    by_place : bool
+        Whether depth depends on where in the view a frame is, not only on its scale.
+    """
+
+    camera: Camera
+    view: View
+    by_place: bool = False
+
+    @property
+    def own_info(self) -> Any:
+        """Message with the camera's own model of the frames."""
+        return codec.camera_info_message(self.camera.intrinsics.for_view(self.view))
+
+    def fault_of(self, info: Any) -> str:
+        """Why a frame with a camera model shows another part of the view; empty if it does not."""
+        view = self.view
+        found = view_from_camera_info(info, view.width, view.height, self.camera)
+        if found is None:
+            return ""
+        scaled = (found.whole_width, found.whole_height) != (view.whole_width, view.whole_height)
+        if scaled or (self.by_place and (found.left, found.top) != (view.left, view.top)):
+            return (
+                f"camera_info says another region or binning ({_place(found)}) than that of the "
+                f"first frame ({_place(view)}): convert a bag in which they do not change"
+            )
+        return ""
 
 
 def batches(
-    bag: Bag, image_topic: str, info_topic: str | None, camera: Camera, view: View
+    bag: Bag,
+    image_topic: str,
+    info_topic: str | None,
+    views: FrameViews,
+    refuse: Callable[[str], None] = lambda reason: None,
 ) -> Iterator[Batch]:
     """Yield all messages of a bag, each time up to and with a frame.
 
@@ -53,46 +98,38 @@ def batches(
     bag : Bag
     image_topic, info_topic : str
         Of the frames and, if there is one, of their camera models.
-    camera : Camera
-        Its model is valid until the bag has one.
-    view : View
-        What the frames show of the camera's view.
+    views : FrameViews
+    refuse : callable, optional
+        Called with the reason why a camera model is not used, in a line.
     """
-    info = codec.camera_info_message(camera.intrinsics.for_view(view))
+    own = views.own_info
+    size = views.view.width, views.view.height
     copies: list[BagMessage] = []
     waiting = 0
     frames = 0
-    for message in bag.messages():
+    first = first_info(bag, info_topic)
+    for message, found in with_infos(bag.messages(), image_topic, info_topic, first, refuse):
         copies.append(message)
         waiting += len(message.data)
-        if message.topic == info_topic:
-            info = _usable_info(message.data, view, camera) or info
         is_frame = message.topic == image_topic
         if is_frame or waiting > _WAITING_BYTES:
-            yield Batch(tuple(copies), frames if is_frame else None, info)
+            info, moved = own, ""
+            if found is not None and is_frame:
+                moved = views.fault_of(found)
+                if reason := contradiction(found, *size, views.camera):
+                    refuse(f"{reason}: writing that of the camera file")
+                elif has_matrices(found):
+                    info = found
+            yield Batch(tuple(copies), frames if is_frame else None, info, moved)
             copies = []
             waiting = 0
             frames += is_frame
-    yield Batch(tuple(copies), None, info)
+    yield Batch(tuple(copies), None, own)
 
 
-def first_info(bag: Bag, topic: str | None) -> Any:
-    """First camera model of a topic that has a calibration; None if there is none."""
-    for message in () if topic is None else bag.messages(topic):
-        with suppress(MessageError):
-            info = codec.read_camera_info(message.data)
-            if min(info.k[0], info.k[4]) > 0:
-                return info
-    return None
-
-
-def _usable_info(data: bytes, view: View, camera: Camera) -> Any:
-    """Camera model of a message; None if it is empty or not of the frames."""
-    with suppress(MessageError):
-        info = codec.read_camera_info(data)
-        if view_from_camera_info(info, view.width, view.height, camera) is not None:
-            return info
-    return None
+def _place(view: View) -> str:
+    whole = f"{view.whole_width}x{view.whole_height}"
+    return f"{view.width}x{view.height} at {view.left:g}, {view.top:g} of {whole}"
 
 
 def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:

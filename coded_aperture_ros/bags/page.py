@@ -79,6 +79,8 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
         yield f"The bag was processed up to where it ends too early: {results['damage']}."
     if results["left_out"]:
         yield f"Not in the new bag: {', '.join(results['left_out'])}."
+    for reason, count in results["camera_info"].items():
+        yield f"{reason} ({count} message(s))."
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) could not be used ({fault}): {reason}."
     for cause, count in results["depth"]["misfits"].items():

@@ -173,6 +173,8 @@ def _warnings(source: Path, results: Summary) -> Iterator[str]:
         yield f"{source}: processed up to the damage: {results['damage']}"
     if results["left_out"]:
         yield f"{source}: left out of the new bag: {', '.join(results['left_out'])}"
+    for reason, count in results["camera_info"].items():
+        yield f"{source}: {reason} ({count} message(s))"
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}"
 

@@ -59,7 +59,10 @@ def run(args: Arguments) -> int:
     frames: list[FloatArray] = []
     with closing(open_files(args.frames)) as source, naming(args.frames):
         for capture in progress(islice(captures(source), args.most_frames), None, "frame"):
-            grey, _ = grey_image(decode(capture, args).light, 1.0)
+            frame = decode(capture, args, camera)
+            if frame.view is not None:
+                raise InputError("the frames show a region of the view, or are binned: record all")
+            grey, _ = grey_image(frame.light, 1.0)
             camera = camera.resized(grey.shape[1], grey.shape[0])
             frames.append(grey)
         if len(frames) < 2:

@@ -70,7 +70,7 @@ def run(args: Arguments) -> int:
             bank = _learned(camera, near_m, far_m)
         with naming(args.bank or args.camera):
             checkup = FrameCheckup(camera, bank)
-        for given, name, frame in itertools.islice(_frames(args, report), _MOST_FRAMES):
+        for given, name, frame in itertools.islice(_frames(args, camera, report), _MOST_FRAMES):
             while name in found:  # files of other folders may have this name, too
                 name = f"{given}, {name}"
             found[name] = checkup.findings(frame)
@@ -98,7 +98,7 @@ def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
 
 
 def _frames(
-    args: Arguments, report: Callable[[str, InputError], None]
+    args: Arguments, camera: Camera, report: Callable[[str, InputError], None]
 ) -> Iterator[tuple[str, str, Frame]]:
     """Yield input, name and frame of every picture; report what cannot be read."""
     pixel_format = PixelFormat(args.gamma, args.bits, args.bayer or "")
@@ -106,7 +106,7 @@ def _frames(
         for capture in captures(source, partial(report, given)):
             try:
                 with naming(capture.name):
-                    frame = capture.decode(pixel_format, colour=False)
+                    frame = capture.decode(pixel_format, camera, colour=False)
             except InputError as error:
                 report(given, error)
                 continue

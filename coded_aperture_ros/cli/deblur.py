@@ -119,7 +119,7 @@ def run(args: Arguments) -> int:
     summaries: list[dict[str, Any]] = []
     video: int | None = None
     outputs = Outputs(args.output, ".png", PICTURE_SUFFIXES, files, _files_read(args))
-    for named in named_frames(args, outputs, skipped):
+    for named in named_frames(args, outputs, skipped, camera):
         if named.video != video:
             restorer.reset()
             video = named.video
@@ -195,7 +195,7 @@ class _Restorer:
 
     def restored(self, frame: Frame) -> tuple[FloatArray, DepthEstimate | FloatArray]:
         """All-in-focus picture of a frame, and the depth that it was made with."""
-        fit_camera(self._pipeline, self._camera, frame.shape)
+        fit_camera(self._pipeline, self._camera, frame)
         depth = self._pipeline(frame) if self._depth_m is None else self._depth_for(frame.shape)
         return self._pipeline.deblur(frame, depth, self._motion_px), depth
 

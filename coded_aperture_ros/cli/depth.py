@@ -79,7 +79,7 @@ def run(args: Arguments) -> int:
     summaries: list[dict[str, Any]] = []
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     with shown as add_to_movie:
-        frames = named_frames(args, outputs, skipped)
+        frames = named_frames(args, outputs, skipped, camera)
         for named, estimate, seconds in _estimates(args, pipeline, camera, frames, skipped):
             values = _depth_values(args, estimate)
             _write(args, named.output, estimate, values)
@@ -89,8 +89,9 @@ def run(args: Arguments) -> int:
                 # Depths of each frame have a scale of their own, which shows more.
                 ends = scale if args.as_levels else ()
                 write_pictures(named.output, values, estimate.confidence, ends)
-            if args.points and camera is not None:
-                points = points_of_frame(estimate, named.frame.picture, camera, args.gamma)
+            if args.points and named.intrinsics is not None:
+                light, model = named.frame.picture, named.intrinsics
+                points = points_of_frame(estimate, light, model, args.gamma)
                 write_points(named.output.with_suffix(".ply"), points)
             if add_to_movie is not None:
                 add_to_movie(frame_beside_depth(named.frame.picture, values, scale))
@@ -134,7 +135,7 @@ def _estimates(
     def suited(named: NamedFrame) -> NamedFrame:
         """Frame of the bank's size, for which the pipeline is made."""
         named = named.suited(bank, args.frame_scale)
-        fit_camera(pipeline, camera, named.frame.shape, new_model)
+        fit_camera(pipeline, camera, named.frame, new_model)
         return named
 
     for _, video in groupby(frames, key=lambda named: named.video):

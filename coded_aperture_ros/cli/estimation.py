@@ -6,13 +6,12 @@ from collections.abc import Callable
 
 from coded_aperture_ros.cli.command import UsageError
 from coded_aperture_ros.cli.estimation_arguments import EstimationArguments
-from coded_aperture_ros.core.arrays import Shape
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
-from coded_aperture_ros.frames import ExpectedMotion
+from coded_aperture_ros.frames import ExpectedMotion, Frame
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import check_setting, load_bank
 from coded_aperture_ros.likelihood.choose import new_model
@@ -104,20 +103,18 @@ def known_motion(args: EstimationArguments, camera: Camera | None) -> ExpectedMo
 
 
 def fit_camera(
-    pipeline: FramePipeline | None,
+    pipeline: FramePipeline,
     camera: Camera | None,
-    shape: Shape,
+    frame: Frame,
     new_model: Callable[[Camera], AnyModel] | None = None,
-) -> Camera | None:
-    """Camera, if any, of images of a shape, to which a pipeline is brought.
+) -> None:
+    """Bring a pipeline to the camera of the whole view of a frame, if there is a camera.
 
     `new_model` makes the model of a camera, where none was learned before.
     """
     if camera is None:
-        return None
-    height, width = shape
-    resized = camera.resized(width, height)
-    if pipeline is not None and resized != pipeline.estimator.camera:
+        return
+    resized = camera.resized(*frame.whole_size)
+    if resized != pipeline.camera:
         model = None if new_model is None else new_model(resized)
         pipeline.reconfigure(model=model, camera=resized)
-    return resized

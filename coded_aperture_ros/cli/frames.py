@@ -1,6 +1,7 @@
 """Input frames and output names that `depth` and `deblur` share."""
 
 import dataclasses
+import functools
 import logging
 import re
 import sys
@@ -15,8 +16,9 @@ from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.frames import Frame, PixelFormat, resampled
+from coded_aperture_ros.frames import Frame, PixelFormat
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size
+from coded_aperture_ros.optics import Camera, Intrinsics
 from coded_aperture_ros.sources import Capture, PictureSource, captures, open_files
 from coded_aperture_ros.sources.files import FileSource
 
@@ -37,7 +39,7 @@ class NamedFrame:
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
     given one after the other belong together. `size` is that of the maps, rows and columns, where
-    the frame was resampled.
+    the frame was resampled. `intrinsics` are known where a camera is.
     """
 
     source: str  # what to call it in messages
@@ -45,18 +47,18 @@ class NamedFrame:
     frame: Frame
     video: int
     size: tuple[int, int] | None = None
+    intrinsics: Intrinsics | None = None
 
     def suited(self, bank: FilterBank | None, scale: float = 1.0) -> "NamedFrame":
         """Return it resampled by a scale; an `InputError` if its size is not the bank's."""
         named, size = self, self.frame.shape
         if scale != 1:
             # The picture keeps its size, as the maps do.
-            small = resampled(self.frame.light, scale)
-            frame = dataclasses.replace(self.frame, light=small, colour=self.frame.picture)
+            small = self.frame.resampled(scale)
+            frame = dataclasses.replace(small, colour=self.frame.picture)
             named = dataclasses.replace(self, frame=frame, size=size)
         if bank is not None:
-            height, width = named.frame.shape
-            check_frame_size(bank, width, height, size[::-1])
+            check_frame_size(bank, *named.frame.whole_size, self.frame.whole_size)
         return named
 
 
@@ -130,9 +132,9 @@ class Outputs:
 
 
 def named_frames(
-    args: InputArguments, outputs: Outputs, skipped: SkippedInputs
+    args: InputArguments, outputs: Outputs, skipped: SkippedInputs, camera: Camera | None = None
 ) -> Iterator[NamedFrame]:
-    """Go through every frame of every input.
+    """Go through every frame of every input; `camera`, of the whole view, helps to place them.
 
     That results can be written is checked before a frame is handed out; those of pictures, before
     the first. Of several pictures, those that cannot be read are left to `skipped`.
@@ -161,11 +163,12 @@ def named_frames(
                 check_output(outputs.files(target), read, others=of_pictures)
             try:
                 with naming(given):
-                    frame = decode(capture, args)
+                    frame = decode(capture, args, camera)
+                    model = None if camera is None else capture.intrinsics(camera)
             except InputError as error:
                 skipped.note(error)
                 continue
-            yield NamedFrame(given, target, frame, video)
+            yield NamedFrame(given, target, frame, video, intrinsics=model)
 
 
 def _picture_names(sources: Sequence[FileSource[Any]], outputs: Outputs) -> list[str]:
@@ -204,6 +207,13 @@ def _captures(
             logging.warning(f"{given}: read up to the damage: {source.damage}")
 
 
-def decode(capture: Capture, args: PixelArguments) -> Frame:
+def decode(capture: Capture, args: PixelArguments, camera: Camera | None = None) -> Frame:
     """Frame of a capture, as the options say that its pixels are stored."""
-    return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer))
+    if camera is not None and (complaint := capture.complaint(camera)):
+        _warn_once(complaint)
+    return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer), camera)
+
+
+@functools.lru_cache(maxsize=16)
+def _warn_once(complaint: str) -> None:
+    logging.warning(f"{complaint}: points are those of the camera file")

@@ -10,6 +10,7 @@ import sys
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import short
 
 
 @dataclasses.dataclass(frozen=True)
@@ -151,16 +152,16 @@ def check_option(name: str, value: Any, expected: type, described: Option) -> No
     """Raise an `InputError` if a value is not allowed; see `check_options`."""
     allowed = f" ({described.allowed})" if described.allowed else ""
     if not has_type(value, expected):
-        raise InputError(f"{name}: expected {expected.__name__}{allowed}, got {value!r}")
+        raise InputError(f"{name}: expected {expected.__name__}{allowed}, got {short(value)}")
     if described.choices is not None and value not in described.choices:
-        raise InputError(f"{name}: {value!r} is not allowed, use {described.allowed}")
+        raise InputError(f"{name}: {short(value)} is not allowed, use {described.allowed}")
     if expected in (int, float):
         too_small = described.minimum is not None and value < described.minimum
         too_small |= described.above is not None and value <= described.above
         too_large = described.maximum is not None and value > described.maximum
         # Not math.isfinite, which fails for integers beyond the range of floats.
         if too_small or too_large or not abs(value) <= sys.float_info.max:
-            raise InputError(f"{name}: {value!r} is out of range{allowed}")
+            raise InputError(f"{name}: {short(value)} is out of range{allowed}")
 
 
 def has_type(value: Any, expected: type) -> bool:

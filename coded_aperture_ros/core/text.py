@@ -1,8 +1,24 @@
-"""Numbers and tables as text."""
+"""Values, numbers and tables as text."""
 
 import math
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 60
+_SHORT.maxlevel = 2
+
+
+def short(value: Any) -> str:
+    """`repr` of a value of unknown size, for a message of one line.
+
+    Examples
+    --------
+    >>> short([1] * 1000)
+    '[1, 1, 1, 1, 1, 1, ...]'
+    """
+    return _SHORT.repr(value)
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
-from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics import Intrinsics
 
 # Every second row and column of a map: obstacles cover neighbouring pixels, so a quarter is enough.
 _SPARSE = 2
@@ -68,13 +68,16 @@ def points_of_depth(
 
 
 def points_of_frame(
-    estimate: DepthEstimate, light: FloatArray, camera: Camera, gamma: Gamma
+    estimate: DepthEstimate, light: FloatArray, intrinsics: Intrinsics, gamma: Gamma
 ) -> FloatArray:
-    """Points of a metric estimate of a whole view, with colours; see `points_of_depth`."""
+    """Points of a metric estimate of a frame, with colours; see `points_of_depth`.
+
+    `intrinsics` are those of the frame, in any size.
+    """
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
     small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
-    rays = camera.intrinsics.rays(rows, columns)
+    rays = intrinsics.rays(rows, columns)
     maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
     return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), rays)
 

@@ -70,6 +70,14 @@ class Frame:
         return rows, columns
 
     @property
+    def whole_size(self) -> tuple[int, int]:
+        """Width and height of the whole view, px of this frame."""
+        if self.view is not None:
+            return self.view.whole_width, self.view.whole_height
+        rows, columns = self.shape
+        return columns, rows
+
+    @property
     def channels(self) -> int:
         """Number of channels of `light`, 1 or 3."""
         return 1 if self.light.ndim == 2 else self.light.shape[2]
@@ -82,7 +90,9 @@ class Frame:
     def resampled(self, scale: float) -> "Frame":
         """Frame enlarged by a factor; see `coded_aperture_ros.frames.resampled`."""
         colour = None if self.colour is None else resampled(self.colour, scale)
-        return dataclasses.replace(self, light=resampled(self.light, scale), colour=colour)
+        light = resampled(self.light, scale)
+        view = self.view and self.view.resized(light.shape[1], light.shape[0])
+        return dataclasses.replace(self, light=light, colour=colour, view=view)
 
     def check(self) -> None:
         """Raise `InputError` if the light has a shape or type that no frame has."""

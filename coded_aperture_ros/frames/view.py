@@ -42,3 +42,9 @@ class View:
     def whole(cls, width: int, height: int) -> "View":
         """View of a frame that shows all of it."""
         return cls(width, height, width, height)
+
+    def resized(self, width: int, height: int) -> "View":
+        """View of the same region in a frame of another size, px."""
+        x, y = width / self.width, height / self.height
+        whole = round(self.whole_width * x), round(self.whole_height * y)
+        return View(width, height, *whole, self.left * x, self.top * y, self.is_binned)

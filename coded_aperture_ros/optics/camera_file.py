@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.text import short
+from coded_aperture_ros.core.yaml_file import read_yaml
 from coded_aperture_ros.optics.camera import Camera
 from coded_aperture_ros.optics.field import FieldCurvature
-from coded_aperture_ros.optics.intrinsics import load_intrinsics, read_yaml
+from coded_aperture_ros.optics.intrinsics import load_intrinsics
 from coded_aperture_ros.optics.lens import LENS_AND_PIXEL, NUMBERS
 from coded_aperture_ros.optics.mask import Mask
 from coded_aperture_ros.optics.wavefront import Wavefront
@@ -120,7 +122,7 @@ def camera_from_mapping(
         info = values.pop("camera_info", None)
         if info is not None:
             if not isinstance(info, str):
-                raise InputError(f"camera_info: expected the name of a file, got {info!r}")
+                raise InputError(f"camera_info: expected the name of a file, got {short(info)}")
             values["measured"] = load_intrinsics(Path(folder) / info)
         if "focal_length_px" in values:
             return Camera(**values)
@@ -134,7 +136,7 @@ def _check_keys(mapping: Any) -> None:
         if key not in _KEYS:
             close = difflib.get_close_matches(str(key), _KEYS, 1)
             hint = f"did you mean {close[0]}?" if close else "use " + ", ".join(_KEYS)
-            raise InputError(f"unknown key {key!r}: {hint}")
+            raise InputError(f"unknown key {short(key)}: {hint}")
     described_twice = [
         key for key in LENS_AND_PIXEL if key in mapping and "focal_length_px" in mapping
     ]
@@ -153,8 +155,10 @@ def _check_keys(mapping: Any) -> None:
 
 def _mask_from(entry: Any, folder: Path) -> Mask:
     if not isinstance(entry, Mapping) or len(entry) != 1 or not set(entry) <= {"name", "file"}:
-        raise InputError(f"mask: expected {{name: levin}} or {{file: mask.png}}, got {entry!r}")
+        raise InputError(
+            f"mask: expected {{name: levin}} or {{file: mask.png}}, got {short(entry)}"
+        )
     (kind, value), *_ = entry.items()
     if not isinstance(value, str):
-        raise InputError(f"mask: expected the {kind} as text, got {value!r}")
+        raise InputError(f"mask: expected the {kind} as text, got {short(value)}")
     return Mask.named(value) if kind == "name" else Mask.from_file(folder / value)

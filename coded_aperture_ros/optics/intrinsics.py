@@ -8,7 +8,6 @@ import dataclasses
 import math
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.options import has_type
+from coded_aperture_ros.core.text import short
+from coded_aperture_ros.core.yaml_file import read_yaml
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.optics.distortion import distortion_model, pixel_rays
 
@@ -76,7 +77,7 @@ class Intrinsics:
         for name in ("image_width", "image_height"):
             value = getattr(self, name)
             if not has_type(value, int) or value < 1:
-                raise InputError(f"{name}: expected a whole number of pixels, got {value!r}")
+                raise InputError(f"{name}: expected a whole number of pixels, got {short(value)}")
         if not self.projection_matrix:
             k = self.camera_matrix
             rows = (*k[:3], 0.0, *k[3:6], 0.0, *k[6:9], 0.0)
@@ -235,32 +236,20 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
         return Intrinsics(**values)
 
 
-def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
-    """Content of a YAML file; raises `InputError` with `name` if it cannot be read."""
-    try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror or error}") from error
-    except (yaml.YAMLError, ValueError, OverflowError) as error:  # also dates, escapes and numbers
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
-        raise InputError(f"{name}: not valid YAML{line}") from error
-
-
 def _parse_matrix(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:
     if not isinstance(entry, dict):
-        raise InputError(f"{key}: expected rows, cols and data, got {entry!r}")
+        raise InputError(f"{key}: expected rows, cols and data, got {short(entry)}")
     for part in ("rows", "cols", "data"):
         if part not in entry:
             raise InputError(f"{key}: missing {part}")
     shape = entry["rows"], entry["cols"]
     if shape[0] != rows or (columns is not None and shape[1] != columns):
         wanted = f"{rows} rows" + ("" if columns is None else f" and {columns} cols")
-        raise InputError(f"{key}: expected {wanted}, got {shape[0]!r} and {shape[1]!r}")
+        raise InputError(f"{key}: expected {wanted}, got {short(shape[0])} and {short(shape[1])}")
     data = entry["data"]
     numbers = isinstance(data, list) and all(has_type(value, float) for value in data)
     if not numbers or len(data) != rows * shape[1]:
-        raise InputError(f"{key}: data: expected {rows} x {shape[1]!r} numbers, got {data!r}")
+        raise InputError(f"{key}: data: expected {rows} x {shape[1]} numbers, got {short(data)}")
     return tuple(float(value) for value in data)
 
 

@@ -24,7 +24,11 @@ from coded_aperture_ros.ros.diagnostics import (
     camera_name,
 )
 from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
-from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
+from coded_aperture_ros.ros.messages import (
+    camera_info_from_camera,
+    camera_info_from_recorded,
+    image_from_array,
+)
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.scheduling import Pace
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
@@ -76,8 +80,9 @@ class CameraDriverConfig:
     )
     camera_info_url: str = option(
         "",
-        "Calibration to publish, file:// or package://, with ${NAME} and ${ROS_HOME}; empty: "
-        "file://${ROS_HOME}/camera_info/${NAME}.yaml if there is one, else the camera file's",
+        "Calibration to publish, file:// or package://, with ${NAME} and ${ROS_HOME}; empty: that "
+        "of a bag's frames, or file://${ROS_HOME}/camera_info/${NAME}.yaml if there is one, else "
+        "the camera file's",
     )
     publish_clock: bool = option(False, "Publish the frames' stamps as the time, on /clock")
     base_frame: str = option(
@@ -292,8 +297,7 @@ class CameraDriverNode(ManagedNode):
             frame = PixelFormat(mosaic=capture.mosaic).picture(frame)
         if publishes_clock:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
-        height, width = capture.frame.shape[:2]
-        self._publish_camera_info(width, height, header)  # before its frame
+        self._publish_camera_info(capture, header)  # before its frame
         if self._outputs.listened("image_raw"):
             pixels = pixels_from_frame(frame, encoding)
             self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
@@ -304,7 +308,13 @@ class CameraDriverNode(ManagedNode):
             sharp = image_from_array(pixels_from_frame(capture.sharp, encoding), encoding, header)
             self._outputs.send("ground_truth/image", sharp)
 
-    def _publish_camera_info(self, width: int, height: int, header: Header) -> None:
+    def _publish_camera_info(self, capture: Capture, header: Header) -> None:
+        """Publish the model of a calibration that was given, or the recorded one, or the file's."""
+        recorded = capture.camera_info
+        if recorded is not None and not self._config.camera_info_url:
+            self._outputs.send("camera_info", camera_info_from_recorded(recorded, header))
+            return
+        height, width = capture.frame.shape[:2]
         try:
             model = self._store and self._store.model_for(width, height)
             model = model or self._camera.resized(width, height).intrinsics

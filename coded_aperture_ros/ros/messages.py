@@ -4,13 +4,19 @@ All are pure functions of their arguments: no node, no clock, no publisher.
 """
 
 import sys
+from typing import Any
 
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.io.messages import array_from_compressed, check_pixels, scaled_matrices
+from coded_aperture_ros.io.messages import (
+    array_from_compressed,
+    check_pixels,
+    has_matrices,
+    scaled_matrices,
+)
 from coded_aperture_ros.io.messages import stamp_ns as stamp_ns
 from coded_aperture_ros.optics import Camera, Intrinsics
 
@@ -87,6 +93,28 @@ def camera_info_from_camera(camera: Camera | Intrinsics, header: Header) -> Came
     info.k = list(model.camera_matrix)
     info.r = list(model.rectification_matrix)
     info.p = list(model.projection_matrix)
+    return info
+
+
+def camera_info_from_recorded(recorded: Any, header: Header) -> CameraInfo:
+    """Message with the values of one that was recorded, and another header."""
+    info = CameraInfo(header=copied_header(header))
+    info.width = int(recorded.width)
+    info.height = int(recorded.height)
+    info.binning_x = int(recorded.binning_x)
+    info.binning_y = int(recorded.binning_y)
+    roi = recorded.roi
+    info.roi.x_offset = int(roi.x_offset)
+    info.roi.y_offset = int(roi.y_offset)
+    info.roi.width = int(roi.width)
+    info.roi.height = int(roi.height)
+    info.roi.do_rectify = bool(roi.do_rectify)
+    if has_matrices(recorded):
+        info.distortion_model = recorded.distortion_model
+        info.d = list(map(float, recorded.d))
+        info.k = list(map(float, recorded.k))
+        info.r = list(map(float, recorded.r))
+        info.p = list(map(float, recorded.p))
     return info
 
 

@@ -1,22 +1,26 @@
 """Frames of a bag, with their stamps."""
 
+import logging
 import os
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 from coded_aperture_ros.bags import Bag, BagMessage
+from coded_aperture_ros.bags.camera_infos import first_info, with_infos
 from coded_aperture_ros.bags.codec import read_picture
-from coded_aperture_ros.bags.topics import image_topic
+from coded_aperture_ros.bags.topics import camera_info_topic, image_topic
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.sources.files import FileSource
 from coded_aperture_ros.sources.source import Capture
 
 
-class BagSource(FileSource[tuple[int, BagMessage]]):
+class BagSource(FileSource[tuple[int, BagMessage, Any]]):
     """Images of a topic of a bag.
 
-    The stamps are those of the messages, or, where a message has none, the times of their
-    recording; so with `loop` they jump back.
+    Each comes with the camera model of its stamp, if the bag has one. The stamps are those of the
+    messages, or, where a message has none, the times of their recording; so with `loop` they jump
+    back.
 
     Parameters
     ----------
@@ -38,6 +42,7 @@ class BagSource(FileSource[tuple[int, BagMessage]]):
         self._path = Path(path)
         self._bag: Bag | None = Bag(path)
         self.damage = self._bag.damage
+        self._refused: set[str] = set()
         try:
             self._topic = image_topic(self._bag.topics, topic, named_by=f"bag:{path}#")
         except InputError as error:
@@ -52,13 +57,25 @@ class BagSource(FileSource[tuple[int, BagMessage]]):
         if bag is not None:
             bag.close()
 
-    def _stored(self) -> Generator[tuple[int, BagMessage], None, None]:
+    def _stored(self) -> Generator[tuple[int, BagMessage, Any], None, None]:
         self._bag = bag = self._bag or Bag(self._path)
-        yield from enumerate(bag.messages(self._topic.name))
+        topic = self._topic.name
+        info_topic = camera_info_topic(bag.topics, self._topic)
+        first = first_info(bag, info_topic)
+        topics = (topic,) if info_topic is None else (topic, info_topic)
+        messages = with_infos(bag.messages(*topics), topic, info_topic, first, self._refuse)
+        frames = ((message, info) for message, info in messages if message.topic == topic)
+        for index, (message, info) in enumerate(frames):
+            yield index, message, info
         self.damage = bag.damage
 
-    def _capture(self, stored: tuple[int, BagMessage]) -> Capture:
-        index, message = stored
+    def _refuse(self, reason: str) -> None:
+        if reason not in self._refused:
+            self._refused.add(reason)
+            logging.warning(f"{self._path}: {reason}")
+
+    def _capture(self, stored: tuple[int, BagMessage, Any]) -> Capture:
+        index, message, info = stored
         with naming(f"{self._path}, {self._topic.name}"):
             picture = read_picture(message.data, self._topic.type_name)
         return Capture(
@@ -67,4 +84,5 @@ class BagSource(FileSource[tuple[int, BagMessage]]):
             name=f"{self._path.stem}_{index:06d}",
             mosaic=picture.mosaic,
             compression_loss=picture.compression_loss,
+            camera_info=info,
         )

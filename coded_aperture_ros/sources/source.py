@@ -3,13 +3,21 @@
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames import Frame, PixelFormat
+from coded_aperture_ros.frames import Frame, PixelFormat, View
+from coded_aperture_ros.io.messages import (
+    contradiction,
+    has_matrices,
+    intrinsics_from_info,
+    scaled_matrices,
+    view_from_camera_info,
+)
+from coded_aperture_ros.optics import Camera, Intrinsics
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,8 @@ class Capture:
         to 1.
     name : str, optional
         Name for messages and output files; empty if no file has it.
+    camera_info : sensor_msgs/CameraInfo, optional
+        Camera model that the source has of this frame, as rclpy or rosbags has it.
     mosaic : str, optional
         Mosaic of colour filters of a grey frame's pixels; see `grey_from_mosaic`.
 
@@ -51,9 +61,21 @@ class Capture:
     compression_loss: float = 0.0
     name: str = ""
     mosaic: str = ""
+    camera_info: Any = None
 
-    def decode(self, pixel_format: PixelFormat, *, colour: bool = True) -> Frame:
-        """Frame in linear light; the source's own mosaic goes before that of the format.
+    def decode(
+        self, pixel_format: PixelFormat, camera: Camera | None = None, *, colour: bool = True
+    ) -> Frame:
+        """Frame in linear light, with its part of the camera's view.
+
+        Parameters
+        ----------
+        pixel_format : PixelFormat
+            The source's own mosaic goes before its mosaic.
+        camera : Camera, optional
+            Of the whole view. It tells whether the region that a driver reports is all of it.
+        colour : bool, optional
+            See `PixelFormat.frame`.
 
         Raises
         ------
@@ -62,8 +84,41 @@ class Capture:
         """
         pixel_format = replace(pixel_format, mosaic=self.mosaic or pixel_format.mosaic)
         return pixel_format.frame(
-            self.frame, self.compression_loss, colour=colour, stamp_ns=self.stamp_ns
+            self.frame,
+            self.compression_loss,
+            colour=colour,
+            stamp_ns=self.stamp_ns,
+            view=self.view(camera),
         )
+
+    def view(self, camera: Camera | None) -> View | None:
+        """Part of the camera's view that the frame shows; None: all of it."""
+        if self.camera_info is None:
+            return None
+        height, width = self.frame.shape[:2]
+        view = view_from_camera_info(self.camera_info, width, height, camera)
+        return None if view == View.whole(width, height) else view
+
+    def intrinsics(self, camera: Camera) -> Intrinsics:
+        """Pinhole model of the frame: the source's if it has one that can be, or the camera's."""
+        height, width = self.frame.shape[:2]
+        info = self.camera_info
+        if info is None or not has_matrices(info) or self.complaint(camera):
+            view = self.view(camera) or View.whole(width, height)
+            return camera.resized(view.whole_width, view.whole_height).for_view(view).intrinsics
+        k, p = scaled_matrices(info, width, height)
+        return replace(
+            intrinsics_from_info(info),
+            image_width=width,
+            image_height=height,
+            camera_matrix=tuple(k),
+            projection_matrix=tuple(p),
+        )
+
+    def complaint(self, camera: Camera) -> str:
+        """Why the source's camera model cannot be that of a camera's frame; empty if it can."""
+        height, width = self.frame.shape[:2]
+        return (self.camera_info and contradiction(self.camera_info, width, height, camera)) or ""
 
 
 class Source(Protocol):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from small_camera import CAMERA, DEPTH_M, FAR_M, NEAR_M, coded_wall
 
-from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import (
     DepthConfig,
     DepthEstimator,

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
-from coded_aperture_ros.frames import PixelFormat
+from coded_aperture_ros.frames import Frame, PixelFormat
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera
@@ -158,12 +158,13 @@ class Live:
     ) -> Shown:
         """Results of a frame; `again` if it is the same frame with other settings."""
         assert capture is not None
-        frame = dataclasses.replace(capture.decode(self._pixel_format), stamp_ns=None)
+        frame = capture.decode(self._pixel_format, self._camera)
+        frame = dataclasses.replace(frame, stamp_ns=None)
         shown = Shown(settings, capture, frame.picture)
         if again:
             self._pipeline.reset()  # it is not a new frame of the video
         try:
-            camera = self._camera_for(frame.light)
+            camera = self._camera_for(frame)
             self._pipeline.reconfigure(camera=camera, depth=settings.depth, deblur=settings.deblur)
             estimate = self._pipeline(frame)
             shown = dataclasses.replace(shown, estimate=estimate)
@@ -176,12 +177,11 @@ class Live:
             return dataclasses.replace(shown, problem=str(error))
         return dataclasses.replace(shown, sharp=sharp, picture=picture)
 
-    def _camera_for(self, frame: FloatArray) -> Camera | None:
-        """Camera scaled to the size of a frame; an `InputError` if the bank is for another."""
-        height, width = frame.shape[:2]
+    def _camera_for(self, frame: Frame) -> Camera | None:
+        """Camera of a frame's whole view; an `InputError` if the bank is for another."""
         if bank := filter_bank(self._pipeline.estimator.model):
-            check_frame_size(bank, width, height)
-        return self._camera and self._camera.resized(width, height)
+            check_frame_size(bank, *frame.whole_size)
+        return self._camera and self._camera.resized(*frame.whole_size)
 
 
 def _displayed_picture(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:

@@ -56,7 +56,8 @@ def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
     write_image(folder / "depth.picture.png", depth_picture(estimate.depth_m))
     write_image(folder / "confidence.picture.png", confidence_picture(estimate.confidence))
     light = shown.frame if shown.sharp is None else shown.sharp
-    write_points(folder / "points.ply", points_of_frame(estimate, light, camera, "srgb"))
+    model = camera.intrinsics if shown.capture is None else shown.capture.intrinsics(camera)
+    write_points(folder / "points.ply", points_of_frame(estimate, light, model, "srgb"))
 
 
 class Recording:
@@ -96,7 +97,7 @@ class Recording:
 
         `mosaic` is the colour filter array of a grey frame whose source states none.
         """
-        from coded_aperture_ros.bags.codec import camera_info_data, image_data
+        from coded_aperture_ros.bags.codec import camera_info_copy, camera_info_data, image_data
 
         time_ns = time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
         stamp = dataclasses.replace(
@@ -105,8 +106,11 @@ class Recording:
         header = dataclasses.replace(self._info.header, stamp=stamp, frame_id=_FRAME_ID)
         pixels, encoding = _message_pixels(capture, mosaic)
         self._bag.write(_TOPIC, time_ns, image_data(pixels, encoding, header))
-        size = pixels.shape[0], pixels.shape[1]
-        self._bag.write(_INFO_TOPIC, time_ns, camera_info_data(self._info, size, header))
+        if capture.camera_info is not None:
+            info = camera_info_copy(capture.camera_info, header)
+        else:
+            info = camera_info_data(self._info, pixels.shape[:2], header)
+        self._bag.write(_INFO_TOPIC, time_ns, info)
         self.count += 1
 
     def close(self) -> None:
