@@ -116,7 +116,8 @@ def batches(
             info, moved = own, ""
             if found is not None and is_frame:
                 moved = views.fault_of(found)
-                if reason := contradiction(found, *size, views.camera):
+                reason = "" if moved else contradiction(found, *size, views.camera)
+                if reason:
                     refuse(f"{reason}: writing that of the camera file")
                 elif has_matrices(found):
                     info = found
