@@ -89,8 +89,8 @@ def run(args: Arguments) -> int:
                 # Depths of each frame have a scale of their own, which shows more.
                 ends = scale if args.as_levels else ()
                 write_pictures(named.output, values, estimate.confidence, ends)
-            if args.points and named.intrinsics is not None:
-                light, model = named.frame.picture, named.intrinsics
+            if args.points and camera is not None and named.capture is not None:
+                light, model = named.frame.picture, named.capture.intrinsics(camera)
                 points = points_of_frame(estimate, light, model, args.gamma)
                 write_points(named.output.with_suffix(".ply"), points)
             if add_to_movie is not None:

@@ -18,7 +18,7 @@ from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import Frame, PixelFormat
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size
-from coded_aperture_ros.optics import Camera, Intrinsics
+from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.sources import Capture, PictureSource, captures, open_files
 from coded_aperture_ros.sources.files import FileSource
 
@@ -39,15 +39,15 @@ class NamedFrame:
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
     given one after the other belong together. `size` is that of the maps, rows and columns, where
-    the frame was resampled. `intrinsics` are known where a camera is.
+    the frame was resampled. `capture` is what the frame was made of.
     """
 
     source: str  # what to call it in messages
     output: Path  # where its result goes
     frame: Frame
     video: int
+    capture: Capture | None = None
     size: tuple[int, int] | None = None
-    intrinsics: Intrinsics | None = None
 
     def suited(self, bank: FilterBank | None, scale: float = 1.0) -> "NamedFrame":
         """Return it resampled by a scale; an `InputError` if its size is not the bank's."""
@@ -164,11 +164,10 @@ def named_frames(
             try:
                 with naming(given):
                     frame = decode(capture, args, camera)
-                    model = None if camera is None else capture.intrinsics(camera)
             except InputError as error:
                 skipped.note(error)
                 continue
-            yield NamedFrame(given, target, frame, video, intrinsics=model)
+            yield NamedFrame(given, target, frame, video, capture)
 
 
 def _picture_names(sources: Sequence[FileSource[Any]], outputs: Outputs) -> list[str]:

@@ -165,7 +165,7 @@ def test_a_region_of_interest_turns_around_the_axis_of_the_whole_view(
     top, left, rows, columns = 16, 24, 96, 136
     bag, priors = region_of(scene, tmp_path, top, left, rows, columns), []
 
-    def processor(pipeline, kind, size, depth_size, gamma, prior, bits):
+    def processor(pipeline, kind, size, depth_size, gamma, prior, *others):
         priors.append(prior)
         raise InputError("that is enough")
 
