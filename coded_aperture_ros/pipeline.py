@@ -24,6 +24,7 @@ from coded_aperture_ros.depth import (
     estimate_video,
 )
 from coded_aperture_ros.depth.levels import check_camera
+from coded_aperture_ros.depth.range_check import check_depth_range
 from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
 from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -190,7 +191,7 @@ class FramePipeline:
         ------
         InputError
             If the pipeline was made without deblurring, no depth is known in the whole frame, or a
-            depth map does not have the proportions of the frame.
+            depth map does not have the proportions of the frame or is not in metres.
         """
         frame = Frame.of(frame)
         deblurrer = self._deblurrer
@@ -218,7 +219,8 @@ class FramePipeline:
         Raises
         ------
         InputError
-            If no depth is known in the whole frame, or what blur it has.
+            If no depth is known in the whole frame, or what blur it has, or hardly any depth is
+            within the range of the model.
         """
         if isinstance(depth, DepthEstimate):
             return depth.blur_size_px
@@ -230,6 +232,7 @@ class FramePipeline:
             )
         if not np.isfinite(sizes).any():
             raise InputError("depth: no depth is known in the whole frame")
+        check_depth_range(self.model, self._view_camera, depth)
         return sizes
 
     def uncertainty(

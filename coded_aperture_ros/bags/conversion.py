@@ -48,7 +48,7 @@ from coded_aperture_ros.bags.writing import BagWriter, bag_output
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.figures import new_figure
 from coded_aperture_ros.core.workers import processors
-from coded_aperture_ros.depth import map_size
+from coded_aperture_ros.depth import depth_range_m, map_size
 from coded_aperture_ros.frames import ExpectedMotion, Gamma, View
 from coded_aperture_ros.io.messages import MessageError, view_from_camera_info
 from coded_aperture_ros.likelihood.choose import filter_bank
@@ -165,6 +165,9 @@ class BagConversion:
             self.mosaic,
         )
         processor = kept_processor(pickle.dumps(recipe))
+        if references:
+            pipeline = processor.pipeline
+            references.range_m = depth_range_m(pipeline.model, pipeline.camera)
         return _Plan(image, references, outputs, recipe, processor, data)
 
     def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:

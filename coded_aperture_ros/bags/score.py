@@ -12,6 +12,7 @@ from coded_aperture_ros.bags.codec import read_depth_image
 from coded_aperture_ros.bags.contents import BagMessage
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth import range_complaint
 from coded_aperture_ros.io.messages import MessageError, depth_from_pixels, stamp_ns
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.errors import RelativeError
@@ -38,16 +39,23 @@ class FrameScore:
         Of the pixels that have both; right is within 5 %.
     reference_m : ndarray, float32 [rows, columns]
         Reference at the size of the depth image.
+    complaint : str
+        One line if the reference seems to be of another unit; see `range_complaint`.
     """
 
     error: RelativeError
     apart_ns: int
     reliability: Reliability
     reference_m: FloatArray
+    complaint: str = ""
 
 
 def frame_score(
-    depth_m: FloatArray, confidence: FloatArray, reference: NDArray, apart_ns: int = 0
+    depth_m: FloatArray,
+    confidence: FloatArray,
+    reference: NDArray,
+    apart_ns: int = 0,
+    range_m: tuple[float, float] | None = None,
 ) -> FrameScore:
     """Score of a depth image against a reference of any size that shows the same view.
 
@@ -61,6 +69,8 @@ def frame_score(
         See `messages.depth_from_pixels`.
     apart_ns : int
         Between the stamps of depth and reference.
+    range_m : (float, float), optional
+        Nearest and farthest depth of the bank, m, with which the reference is compared.
 
     Raises
     ------
@@ -75,7 +85,8 @@ def frame_score(
     errors = np.abs((found - true) / true)
     reliability = Reliability.from_estimates(sure, errors <= RIGHT_WITHIN)
     error = RelativeError.from_errors(errors, int(np.count_nonzero(known)))
-    return FrameScore(error, apart_ns, reliability, reference_m)
+    complaint = "" if range_m is None else range_complaint(reference_m, range_m)
+    return FrameScore(error, apart_ns, reliability, reference_m, complaint)
 
 
 def resize_reference(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
@@ -122,16 +133,31 @@ def summary(scores: list[FrameScore]) -> dict[str, Any]:
         "coverage": float(covered.sum() / pixels.sum()) if pixels.sum() else None,
         "most_stamps_apart_s": 1e-9 * max(score.apart_ns for score in scores),
         "right_within": RIGHT_WITHIN,
+        "complaint": _usual_complaint(scores),
         "expected_calibration_error": calibration if np.isfinite(calibration) else None,
         "reliability": reliability.rows(),
     }
 
 
+def _usual_complaint(scores: list[FrameScore]) -> str:
+    """First complaint, if most frames have one."""
+    complaints = [score.complaint for score in scores if score.complaint]
+    return complaints[0] if 2 * len(complaints) > len(scores) else ""
+
+
 class References:
-    """Pairs of depth images and references of the same time, whichever comes first."""
+    """Pairs of depth images and references of the same time, whichever comes first.
+
+    Attributes
+    ----------
+    topic : str
+    range_m : (float, float) or None
+        Nearest and farthest depth of the bank, m.
+    """
 
     def __init__(self, topic: str) -> None:
         self.topic = topic
+        self.range_m: tuple[float, float] | None = None
         self._references: dict[int, NDArray] = {}
         self._frames: dict[int, tuple[int, DepthMaps]] = {}
 
@@ -160,4 +186,7 @@ class References:
             del self._frames[index]
             if nearest is not None and apart_ns <= TOLERANCE_NS:
                 reference = self._references[nearest]
-                yield index, frame_score(maps.depth_m, maps.confidence, reference, apart_ns)
+                yield (
+                    index,
+                    frame_score(maps.depth_m, maps.confidence, reference, apart_ns, self.range_m),
+                )

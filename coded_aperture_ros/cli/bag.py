@@ -177,6 +177,9 @@ def _warnings(source: Path, results: Summary) -> Iterator[str]:
         yield f"{source}: {reason} ({count} message(s))"
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}"
+    reference = results["reference"]
+    if reference and reference["complaint"]:
+        yield f"{source}, {reference['topic']}: {reference['complaint']}"
 
 
 def _settings(args: Arguments) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame
-from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px, check_depth_range
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, write_image
 from coded_aperture_ros.likelihood.bank import FilterBank, check_setting, load_bank
@@ -240,6 +240,8 @@ def _known_depths(args: Arguments, bank: FilterBank, camera: Camera | None) -> F
         raise InputError(f"{args.bank}: {what}")
     if not np.isfinite(blur_size_px).any():
         raise InputError(f"{args.depth}: no pixel has a known depth")
+    with naming(args.depth):
+        check_depth_range(bank, camera, depth_m)
     return depth_m
 
 

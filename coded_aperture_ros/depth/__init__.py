@@ -10,6 +10,7 @@ from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.quality import CAUSES, Health
+from coded_aperture_ros.depth.range_check import check_depth_range, depth_range_m, range_complaint
 from coded_aperture_ros.depth.stages import layer_specs
 from coded_aperture_ros.depth.video import estimate_video
 
@@ -25,11 +26,14 @@ __all__ = [
     "Levels",
     "Regularizer",
     "blur_sizes_px",
+    "check_depth_range",
+    "depth_range_m",
     "depths_are_measured",
     "estimate_video",
     "map_size",
     "nearest_obstacle_m",
     "points_of_depth",
+    "range_complaint",
     "refinement_note",
     "side_warning",
 ]

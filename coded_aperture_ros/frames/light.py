@@ -136,7 +136,8 @@ def check_linear(values: NDArray) -> None:
     ...
     coded_aperture_ros.core.errors.InputError: most values are above 2, ...
     """
-    if 2 * np.count_nonzero(values > _FAR_ABOVE_WHITE) > values.size:
+    above = (values > _FAR_ABOVE_WHITE) & (values < np.inf)
+    if 2 * np.count_nonzero(above) > values.size:
         raise InputError(
             f"most values are above {_FAR_ABOVE_WHITE:g}, expected linear light from 0 to 1: "
             "divide by the value of white, such as 255"

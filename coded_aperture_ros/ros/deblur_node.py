@@ -13,6 +13,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, blur_levels, covers_frame
 from coded_aperture_ros.deblur.levels import RenderedLevels
+from coded_aperture_ros.depth import check_depth_range
 from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -105,6 +106,10 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         pixel_format = self.frame_config.pixel_format
         frame = frame_from_image(image, pixel_format, colour=True, stamp_ns=stamp_ns(header))
         depth_m = depth_of_frame(depth, image)
+        try:
+            check_depth_range(self._model.model, self._model.whole, depth_m)
+        except InputError as error:
+            raise MessageError("depth", f"depth/image: {error}") from error
         # Depth beyond the range is deblurred as the end of the range; NaN stays unknown.
         depth_m = np.clip(depth_m, self._model_config.near_m, self._model_config.far_m or math.inf)
         if not np.isfinite(depth_m).any():

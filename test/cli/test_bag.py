@@ -285,6 +285,23 @@ def test_a_reference_in_millimetres_says_the_same(scene, tmp_path, capsys):
     assert medians[1] == pytest.approx(medians[0], abs=0.0005)
 
 
+@pytest.mark.parametrize("factor", [1000, 100, -1])
+def test_a_reference_in_another_unit_is_told(scene, tmp_path, capsys, caplog, factor):
+    messages = recording(scene, frames=1)
+    depth_m = 1 / scene.depth_m if factor < 0 else factor * scene.depth_m
+    wrong = image(depth_m.astype(np.float32), "32FC1", 0)
+    messages = [
+        (topic, kind, time_ns, wrong if topic == "/truth/depth" else data)
+        for topic, kind, time_ns, data in messages
+    ]
+    bag = write_bag(tmp_path / "in", messages)
+    arguments = command(scene, bag, tmp_path / "out", "--deblur", "none")
+    result = call(capsys, *arguments, "--reference-depth", "/truth/depth")
+    assert result.status == 0
+    assert "/truth/depth: none of the depths" in caplog.text
+    assert "they seem to be in" in caplog.text
+
+
 def test_mcap_tools_read_what_was_written(processed):
     target = processed["mcap"][1]
     expected = decoded(read(target), "/eye/depth/image")

@@ -479,7 +479,10 @@ def test_nan_and_saturated_pixels_stay_where_they_are(scene, tmp_path, capsys):
         (np.full((HEIGHT, WIDTH), np.nan), "no pixel has a known depth"),
         (np.zeros((HEIGHT, WIDTH)), "no pixel has a known depth"),
         (np.ones((HEIGHT, WIDTH, 3)), "expected a depth map [row, column]"),
-        (np.ones((WIDTH, HEIGHT)), f"has {HEIGHT} x {WIDTH} pixels, this frame {WIDTH} x {HEIGHT}"),
+        (
+            np.full((WIDTH, HEIGHT), 2.0),
+            f"has {HEIGHT} x {WIDTH} pixels, this frame {WIDTH} x {HEIGHT}",
+        ),
         (np.ones(5), "expected a depth map [row, column]"),
         (b"no array", "truncated, or not a .npy array"),
         (None, "No such file"),
@@ -494,6 +497,15 @@ def test_unusable_depth_files(scene, tmp_path, capsys, content, phrase):
     before = everything(tmp_path)
     refused(deblur(capsys, scene, tmp_path / "out.png", depth=depth), depth, phrase)
     assert everything(tmp_path) == before
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000, "mm"), (100, "cm"), (-1, "1/m")])
+def test_a_depth_file_in_another_unit(scene, tmp_path, capsys, factor, unit):
+    depth = tmp_path / "depth.npy"
+    np.save(depth, 1 / scene.depth_m if factor < 0 else factor * scene.depth_m)
+    result = deblur(capsys, scene, tmp_path / "out.png", depth=depth)
+    refused(result, depth, "none of the depths", f"they seem to be in {unit}")
+    assert not (tmp_path / "out.png").exists()
 
 
 def test_an_8_bit_depth_file_has_no_unit(scene, tmp_path, capsys):

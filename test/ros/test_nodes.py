@@ -289,6 +289,17 @@ def test_all_in_focus_frames_are_compressed_for_those_who_ask(ros, model, coded)
     assert np.abs(picture.astype(float) - sharp).mean() < 2
 
 
+@pytest.mark.parametrize("factor", [1000, 100, 0.1])
+def test_depth_in_another_unit_is_rejected(ros, model, coded, factor):
+    chain = DeblurChain(ros, model)
+    frame = mono8(coded)
+    chain.images.publish(frame)
+    chain.depths.publish(wall(frame.header, depth_m=factor * DEPTH_M))
+    assert wait_until(lambda: chain.node.statistics.summary().rejected == {"depth": 1})
+    assert "none of the depths" in chain.node.statistics.summary().last_error
+    assert chain.result(mono8(coded))
+
+
 def test_points_bear_the_colours_of_the_frame(ros, model, coded):
     chain = Chain(ros, model, subscribe=("depth/confidence", "depth/std_dev"))
     clouds = ros.subscribe("depth/points", PointCloud2)
