@@ -159,7 +159,8 @@ class BagConversion:
             view,
             image.type_name,
             map_size((view.height, view.width), self.map_size),
-            self.gamma,
+            # In the workers nobody reads what an assumed one logs.
+            self.gamma if isinstance(self.gamma, str) else float(self.gamma),
             self.bits,
             self.threads if self._processes == 1 else 1,
             self.mosaic,

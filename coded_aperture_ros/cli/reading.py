@@ -6,6 +6,7 @@ import dataclasses
 from coded_aperture_ros.cli.command import argument
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import MOSAICS, Gamma, gamma_from_text
+from coded_aperture_ros.frames.light import AssumedGamma
 
 
 def read_gamma(text: str) -> Gamma:
@@ -23,10 +24,14 @@ class GammaArguments:
     gamma: Gamma = argument(
         "how 8-bit input is encoded: an exponent such as 2.2, or srgb as in most pictures "
         "(default 1: linear light, as from a camera's raw values)",
-        1.0,
+        AssumedGamma(1.0),
         written="--gamma G",
         parse=read_gamma,
     )
+
+    def __post_init__(self) -> None:
+        if isinstance(self.gamma, AssumedGamma):  # told once for each command, not each process
+            object.__setattr__(self, "gamma", AssumedGamma(self.gamma))
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

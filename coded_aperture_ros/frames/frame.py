@@ -9,6 +9,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.grey import check_frame, resampled
 from coded_aperture_ros.frames.light import (
+    AssumedGamma,
     Gamma,
     check_linear,
     compression_noise,
@@ -139,6 +140,8 @@ class PixelFormat:
             pixels = np.minimum(pixels, 2**self.bits - 1) << (16 - self.bits)
         if pixels.dtype.kind == "f":
             check_linear(pixels)
+        if isinstance(self.gamma, AssumedGamma) and pixels.dtype == np.uint8 and not self.mosaic:
+            self.gamma.tell()
         if pixels.dtype == np.float32:
             return np.asarray(pixels)
         return linear_from_pixels(pixels, self.gamma)

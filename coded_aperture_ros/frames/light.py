@@ -1,5 +1,7 @@
 """Linear light of stored pixels: transfer curves, and the noise of compression in light."""
 
+import logging
+
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,8 +12,33 @@ from coded_aperture_ros.core.errors import InputError
 # An exponent (stored value = light ** (1 / gamma)), or the sRGB transfer curve.
 Gamma = float | str
 SRGB = "srgb"
+_ASSUMED = (
+    "hint: 8-bit pictures are taken for linear light; give --gamma srgb for those of ordinary "
+    "cameras, or --gamma 1 if they are linear"
+)
 # Linear light, where 1 is white: lamps may be above, half of a picture is not.
 _FAR_ABOVE_WHITE = 2.0
+
+
+class AssumedGamma(float):
+    """Gamma that nobody has stated; its first use for 8-bit pictures is logged.
+
+    Pictures of ordinary cameras, taken for linear light, give wrong depth that looks right.
+
+    Examples
+    --------
+    >>> AssumedGamma(1.0) == 1.0, AssumedGamma(1.0).is_told
+    (True, False)
+    """
+
+    def __init__(self, _value: float) -> None:
+        self.is_told = False
+
+    def tell(self) -> None:
+        """Log how to state it, once."""
+        if not self.is_told:
+            logging.getLogger(__name__).warning(_ASSUMED)
+        self.is_told = True
 
 
 def gamma_from_text(text: str) -> Gamma:
