@@ -13,6 +13,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
@@ -60,7 +61,7 @@ class CameraDriverConfig:
         "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture, folder "
         "of pictures or bag:PATH; rgbd: coded from the topics rgbd/image and rgbd/depth",
     )
-    camera_file: str = option("", "Camera file (YAML), needed")
+    camera_file: str = option("", "Camera file (YAML); empty: with the simulator, the demo's")
     rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))
     frame_id: str = option("camera_optical_frame", "Optical frame of the images")
     encoding: str = option(
@@ -123,6 +124,7 @@ class CameraDriverNode(ManagedNode):
             DeviceConfig(),
             DiagnosticsConfig(),
             fixed={"": CameraDriverConfig()},
+            shares_arguments=local is not None,
             **node_options,
         )
         config = self._config
@@ -147,10 +149,18 @@ class CameraDriverNode(ManagedNode):
     def _config(self) -> CameraDriverConfig:
         return self.configs[CameraDriverConfig]
 
+    @property
+    def _camera_file(self) -> str:
+        """Camera file; the demo's, if none is given and the camera is simulated."""
+        config = self._config
+        if config.camera_file or config.source != SIMULATOR:
+            return config.camera_file
+        return str(share_directory() / "config" / "demo_camera.yaml")
+
     def set_up(self) -> None:
         """Load the camera file and open the source."""
         config = self._config
-        self._camera = required_camera(config.camera_file)
+        self._camera = required_camera(self._camera_file)
         if config.source == RGBD:
             self._source = RgbdSource(self, self._camera, config.noise)
         else:
@@ -336,7 +346,7 @@ class CameraDriverNode(ManagedNode):
             "active": self._active,
             "identity": {
                 "source": config.source,
-                "camera_file": config.camera_file,
+                "camera_file": self._camera_file,
                 "failures": str(self._failures),
             },
         }

@@ -51,7 +51,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         super().__init__("deblur_node", ModelConfig(), DeblurConfig(), fixed={}, **node_options)
         self._pairs: StampPairs[Image, Image] = StampPairs(
             _WAITING_FRAMES,
-            lambda: self.statistics.count_dropped("no_depth"),
+            self.statistics.count_without_depth,
             _WAITING_BYTES,
             lambda message: len(message.data),
         )

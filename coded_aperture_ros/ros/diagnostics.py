@@ -86,6 +86,8 @@ class Summary:
         About the last frame; None after 10 s without one.
     idle_s : float or None
         Time since the last frame arrived; None before the first.
+    without_depth : int
+        Frames whose depth has not come; they are neither processed nor dropped.
     """
 
     received: int
@@ -100,6 +102,7 @@ class Summary:
     last_error: str = ""
     complaint: Complaint | None = None
     idle_s: float | None = None
+    without_depth: int = 0
 
     @property
     def dropped(self) -> int:
@@ -127,6 +130,7 @@ class Statistics:
         self._received = 0
         self._processed = 0
         self._dropped: Counter[str] = Counter()
+        self._without_depth = 0
         self._rejected: Counter[str] = Counter()
         # Of each frame: time when it was done, latency, time of the work, time of its stages.
         self._recent: deque[tuple[float, float | None, float, Mapping[str, float]]] = deque()
@@ -146,9 +150,14 @@ class Statistics:
                 self._started_s = self._received_s
 
     def count_dropped(self, cause: str) -> None:
-        """Count a good frame that was not processed, by cause (busy, max_rate, no_depth)."""
+        """Count a good frame that was not processed, by cause (busy, max_rate)."""
         with self._lock:
             self._dropped[cause] += 1
+
+    def count_without_depth(self) -> None:
+        """Count a good frame whose depth has not come: depth may be slower than the camera."""
+        with self._lock:
+            self._without_depth += 1
 
     def count_rejected(self, kind: str, reason: str = "") -> None:
         """Count an unusable message, by the kind of its fault, and keep the reason."""
@@ -202,6 +211,7 @@ class Statistics:
                 received=self._received,
                 processed=self._processed,
                 dropped_by=dict(self._dropped),
+                without_depth=self._without_depth,
                 rejected=dict(self._rejected),
                 rate_hz=len(recent) / span_s,
                 latency_s=percentiles(latencies_s),
@@ -275,6 +285,8 @@ def status_of(
         "dropped": str(summary.dropped),
         "rejected": str(summary.rejected_total),
     }
+    if summary.without_depth:
+        values["without_depth"] = str(summary.without_depth)
     for cause, count in sorted(summary.dropped_by.items()):
         values[f"dropped_{cause}"] = str(count)
     for kind, count in sorted(summary.rejected.items()):
@@ -305,7 +317,8 @@ def _warnings(
         age = "" if summary.idle_s is None else f": none for {summary.idle_s:.0f} s"
         yield f"waiting for frames{age}"
     elif received and last.received and summary.rate_hz == 0:
-        yield "frames arrive, but no results are published"
+        missing = summary.without_depth > last.without_depth
+        yield f"frames arrive, but no {'depth does' if missing else 'results are published'}"
     elif received and summary.rate_hz < config.warn_rate_hz:
         yield f"{summary.rate_hz:.1f} frames/s, less than {config.warn_rate_hz:g}"
     if received and dropped > config.warn_dropped_share * received:

@@ -110,7 +110,9 @@ class FrameNode(ManagedNode, Generic[Item]):
         **node_options: Any,
     ) -> None:
         configs = FrameNodeConfig(), DiagnosticsConfig(), *configs
-        super().__init__(name, *configs, fixed=fixed, **node_options)
+        super().__init__(
+            name, *configs, fixed=fixed, shares_arguments=local is not None, **node_options
+        )
         self.statistics = Statistics()
         self._outputs = Outputs(self, self.outputs, local)
         self._inputs = Inputs(self, local)

@@ -1,6 +1,7 @@
 """Lifecycle of a node: configured, activated, paused and cleaned up, by itself or a manager."""
 
 import dataclasses
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -10,6 +11,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.ros.given_parameters import unused_parameters
 from coded_aperture_ros.ros.parameters import NodeParameters
 
 # Longest wait at shutdown for the frame in work: reading an unplugged camera may block for longer.
@@ -41,6 +43,8 @@ class ManagedNode(ABC, LifecycleNode):
     name : str
     *configs, fixed
         As of `NodeParameters`.
+    shares_arguments : bool, optional
+        Whether the program has other nodes, for which its arguments may be.
     **node_options
         As of rclpy's `LifecycleNode`.
 
@@ -50,10 +54,18 @@ class ManagedNode(ABC, LifecycleNode):
     """
 
     def __init__(
-        self, name: str, *configs: Any, fixed: Mapping[str, Any], **node_options: Any
+        self,
+        name: str,
+        *configs: Any,
+        fixed: Mapping[str, Any],
+        shares_arguments: bool = False,
+        **node_options: Any,
     ) -> None:
         super().__init__(name, **node_options)
         self.configs = NodeParameters(self, LifeConfig(), *configs, fixed=fixed)
+        arguments = node_options.get("cli_args") or sys.argv
+        for line in unused_parameters(self, arguments, shares_arguments):
+            self.get_logger().warning(line)
         self._failure: InputError | None = None
         self._active = False
         self._configured = False

@@ -107,6 +107,12 @@ class NodeParameters:
         setting = self._settings[name]
         value = _start_value(node, name)
         value = _converted(default if value is None else value, setting.kind)
+        if setting.kind is str and isinstance(value, (bool, int, float)):
+            text = str(value).lower()
+            raise InputError(
+                f"parameter {name}: expected text, and ROS takes {text} for a number or a switch: "
+                f"quote it twice, as in -p {name}:=\"'{text}'\", in a file once"
+            )
         check_option(f"parameter {name}", value, setting.kind, setting.described)
         descriptor = descriptor_of(value, setting.described)
         return node.declare_parameter(name, value, descriptor, ignore_override=True).value

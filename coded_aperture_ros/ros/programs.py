@@ -21,7 +21,7 @@ _HELP = """usage: ros2 run coded_aperture_ros {name} --ros-args -p PARAMETER:=VA
 
 {what}
 
-Needed: camera_file, a camera file (YAML){range}. Example:
+{needed}. Example:
   ros2 run coded_aperture_ros {name} --ros-args -p camera_file:=/path/to/camera.yaml{example}
 
 All parameters, with defaults and ranges, while it runs: ros2 param describe /{name} NAME; the most
@@ -38,9 +38,10 @@ def _help(names: tuple[str, ...]) -> str:
     name = names[0] if len(names) == 1 else "pipeline"
     what = "\n".join(_WHAT[one] for one in names)
     measures = name != "camera_driver_node"
-    needed = ", and near_m and far_m or a bank" if measures else ""
+    needed = "Needed: camera_file, a camera file (YAML)"
+    needed += ", and near_m and far_m or a bank" if measures else ", but for the simulator"
     example = " -p near_m:=0.8 -p far_m:=3.0" if measures else " -p source:=/dev/video0"
-    return _HELP.format(name=name, what=what, range=needed, example=example)
+    return _HELP.format(name=name, what=what, needed=needed, example=example)
 
 
 def _run(*names: str) -> int:

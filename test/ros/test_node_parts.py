@@ -135,9 +135,11 @@ def test_statistics_count_and_measure():
     statistics.count_processed(-5.0, 0.01)  # a stamp from the future
     statistics.count_processed(1e9, 0.01)  # a stamp of another clock
     statistics.count_dropped("busy")
+    statistics.count_without_depth()
     statistics.count_rejected("step")
     statistics.count_rejected("step")
     summary = statistics.summary()
+    assert summary.without_depth == 1
     assert (summary.received, summary.processed, summary.dropped) == (3, 5, 1)
     assert summary.rejected == {"step": 2}
     assert summary.latency_s[0] == pytest.approx(0.1)
