@@ -8,7 +8,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimate
+from coded_aperture_ros.depth import CAUSE_TEXTS, DepthConfig, DepthEstimate
 from coded_aperture_ros.design.setting import Setting, design_setting, resolutions_m
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
@@ -199,7 +199,7 @@ def _fit(estimate: DepthEstimate) -> Finding:
     if health is None:
         return Finding("fit", OK, "cannot be told for this bank")
     numbers = {"health": health.value, "cause": health.cause}
-    remedy = "" if health.fits else CAUSES[health.cause].partition(": ")[2]
+    remedy = "" if health.fits else CAUSE_TEXTS[health.cause].partition(": ")[2]
     return Finding("fit", OK if health.fits else FAILED, str(health), remedy, numbers)
 
 

@@ -34,6 +34,7 @@ from coded_aperture_ros.bags.messages import (
     warm_up,
 )
 from coded_aperture_ros.bags.page import PAGE, write_report
+from coded_aperture_ros.bags.pairing import TOLERANCE_NS, MessageTimes, pair_messages
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.topics import (
@@ -180,7 +181,8 @@ class BagConversion:
             namespace = camera_namespace(image) if self.namespace is None else self.namespace
             outputs = Outputs.within(f"/{namespace.strip('/')}")
             check_outputs(bag.topics, outputs)
-        return image, None if reference is None else References(reference), outputs
+            references = None if reference is None else paired_references(bag, image, reference)
+        return image, references, outputs
 
     def _convert(
         self, bag: Bag, plan: "_Plan", target: Path, progress: Progress, started_s: float
@@ -205,7 +207,7 @@ class BagConversion:
                 for batch, result in progress(steps, plan.image.count):
                     _take(batch, result, plan, writer, record)
             if plan.references:
-                record.add_scores(plan.references.scores(end=True))
+                record.add_scores(plan.references.scores())
             writer.close()
             record.stop()
             if not record.used:
@@ -318,6 +320,20 @@ def _take(
             references.add_frame(batch.index, result)
     if references:
         record.add_scores(references.scores())
+
+
+def paired_references(bag: Bag, image: Topic, topic: str) -> References:
+    """References of the frames of a bag; an `InputError` if none was taken at the time of one."""
+    frames, references = (
+        MessageTimes.of_images(bag.messages(name)) for name in (image.name, topic)
+    )
+    pairs = pair_messages(frames, references)
+    if not pairs:
+        raise InputError(
+            f"no frame has a depth image in {topic} that was taken at its time, by the stamps or "
+            f"else the times of recording, within {TOLERANCE_NS / 1e6:.0f} ms"
+        )
+    return References(topic, pairs)
 
 
 def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Camera]:

@@ -15,7 +15,7 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.frame_log import FrameLog
-from coded_aperture_ros.depth.quality import CAUSES
+from coded_aperture_ros.depth.quality import CAUSE_TEXTS, no_depth_reason
 from coded_aperture_ros.metrics.reliability import Reliability
 
 PAGE = "report.html"
@@ -83,8 +83,11 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
         yield f"{reason} ({count} message(s))."
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) could not be used ({fault}): {reason}."
-    for cause, count in results["depth"]["misfits"].items():
-        yield f"{count} of {results['used']} frame(s) do not fit the bank: {CAUSES[cause]}."
+    depth = results["depth"]
+    if not depth["coverage"]:
+        yield f"No frame has depth: {no_depth_reason(depth['misfits'])}."
+    for cause, count in depth["misfits"].items():
+        yield f"{count} of {results['used']} frame(s) do not fit the bank: {CAUSE_TEXTS[cause]}."
 
 
 def _facts(results: Mapping[str, Any]) -> dict[str, str]:
@@ -102,6 +105,7 @@ def _facts(results: Mapping[str, Any]) -> dict[str, str]:
     if reference is not None:
         facts |= {
             "reference": f"{reference['topic']}, {reference['frames']} frames",
+            "paired": _paired(reference),
             "median error": f"{_share(reference['median_relative_error'])} "
             "(median of the frames' medians)",
             "mean error": _share(reference["mean_relative_error"]),
@@ -110,6 +114,21 @@ def _facts(results: Mapping[str, Any]) -> dict[str, str]:
             "calibration error of the confidence": _share(reference["expected_calibration_error"]),
         }
     return facts
+
+
+def _paired(reference: Mapping[str, Any]) -> str:
+    stamped, recorded = reference["paired_by_stamp"], reference["paired_by_recording"]
+    parts = []
+    if stamped:
+        apart_s = reference["most_stamps_apart_s"]
+        parts.append(f"{stamped} by their stamps, at most {1000 * apart_s:.1f} ms apart")
+    if recorded:
+        apart_s = reference["most_recordings_apart_s"]
+        parts.append(
+            f"{recorded} by the times of recording, at most {1000 * apart_s:.1f} ms apart, because "
+            "their stamps do not tell them apart"
+        )
+    return "; ".join(parts)
 
 
 def _times(results: Mapping[str, Any]) -> dict[str, str]:

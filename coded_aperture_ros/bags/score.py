@@ -1,7 +1,8 @@
 """Errors of the depth of a bag against the depth that another camera recorded."""
 
 import dataclasses
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import cv2
@@ -11,16 +12,15 @@ from numpy.typing import NDArray
 from coded_aperture_ros.bags.codec import read_depth_image
 from coded_aperture_ros.bags.contents import BagMessage
 from coded_aperture_ros.bags.frames import DepthMaps, ProcessedFrame
+from coded_aperture_ros.bags.pairing import Pair
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import range_complaint
-from coded_aperture_ros.io.messages import MessageError, depth_from_pixels, stamp_ns
+from coded_aperture_ros.io.messages import MessageError, depth_from_pixels
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.errors import RelativeError
 
 # Relative error that counts as right: the confidence is the probability of it.
 RIGHT_WITHIN = 0.05
-# A reference this far from a frame, ns, is of the same time.
-TOLERANCE_NS = 20_000_000
 # Frames that wait for their reference, at most; twice as many references wait for frames.
 _WAITING = 64
 
@@ -33,8 +33,8 @@ class FrameScore:
     ----------
     error : RelativeError
         Of the pixels of the depth image whose reference is known.
-    apart_ns : int
-        Between the stamps of depth and reference.
+    pair : Pair
+        How the reference was found.
     reliability : Reliability
         Of the pixels that have both; right is within 5 %.
     reference_m : ndarray, float32 [rows, columns]
@@ -44,7 +44,7 @@ class FrameScore:
     """
 
     error: RelativeError
-    apart_ns: int
+    pair: Pair
     reliability: Reliability
     reference_m: FloatArray
     complaint: str = ""
@@ -54,7 +54,7 @@ def frame_score(
     depth_m: FloatArray,
     confidence: FloatArray,
     reference: NDArray,
-    apart_ns: int = 0,
+    pair: Pair,
     range_m: tuple[float, float] | None = None,
 ) -> FrameScore:
     """Score of a depth image against a reference of any size that shows the same view.
@@ -67,8 +67,8 @@ def frame_score(
         Depth is not finite where unknown.
     reference : ndarray, float32 (m) or uint16 (mm) [other rows, other columns]
         See `messages.depth_from_pixels`.
-    apart_ns : int
-        Between the stamps of depth and reference.
+    pair : Pair
+        How the reference was found.
     range_m : (float, float), optional
         Nearest and farthest depth of the bank, m, with which the reference is compared.
 
@@ -86,7 +86,7 @@ def frame_score(
     reliability = Reliability.from_estimates(sure, errors <= RIGHT_WITHIN)
     error = RelativeError.from_errors(errors, int(np.count_nonzero(known)))
     complaint = "" if range_m is None else range_complaint(reference_m, range_m)
-    return FrameScore(error, apart_ns, reliability, reference_m, complaint)
+    return FrameScore(error, pair, reliability, reference_m, complaint)
 
 
 def resize_reference(reference: NDArray, shape: tuple[int, ...]) -> NDArray:
@@ -131,7 +131,7 @@ def summary(scores: list[FrameScore]) -> dict[str, Any]:
         "mean_relative_error": over_pixels("mean"),
         "within_10_percent": over_pixels("within_10_percent"),
         "coverage": float(covered.sum() / pixels.sum()) if pixels.sum() else None,
-        "most_stamps_apart_s": 1e-9 * max(score.apart_ns for score in scores),
+        **_apart(score.pair for score in scores),
         "right_within": RIGHT_WITHIN,
         "complaint": _usual_complaint(scores),
         "expected_calibration_error": calibration if np.isfinite(calibration) else None,
@@ -145,48 +145,82 @@ def _usual_complaint(scores: list[FrameScore]) -> str:
     return complaints[0] if 2 * len(complaints) > len(scores) else ""
 
 
+def _apart(pairs: Iterable[Pair]) -> dict[str, Any]:
+    """How many pairs were found by each of the two times, and how far apart they are at most."""
+    by_stamp: list[int] = []
+    by_recording: list[int] = []
+    for pair in pairs:
+        (by_recording if pair.by_recording else by_stamp).append(pair.apart_ns)
+    return {
+        "paired_by_stamp": len(by_stamp),
+        "most_stamps_apart_s": 1e-9 * max(by_stamp) if by_stamp else None,
+        "paired_by_recording": len(by_recording),
+        "most_recordings_apart_s": 1e-9 * max(by_recording) if by_recording else None,
+    }
+
+
 class References:
     """Pairs of depth images and references of the same time, whichever comes first.
 
-    Attributes
+    Parameters
     ----------
     topic : str
+    pairs : dict of int to Pair
+        References of the frames, see `pairing.pair_messages`.
+
+    Attributes
+    ----------
     range_m : (float, float) or None
         Nearest and farthest depth of the bank, m.
     """
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, topic: str, pairs: Mapping[int, Pair]) -> None:
         self.topic = topic
         self.range_m: tuple[float, float] | None = None
+        self._pairs = dict(pairs)
+        self._left = Counter(pair.reference for pair in self._pairs.values())
         self._references: dict[int, NDArray] = {}
-        self._frames: dict[int, tuple[int, DepthMaps]] = {}
+        self._frames: dict[int, DepthMaps] = {}
+        self._count = 0
 
     def add_messages(self, messages: Iterable[BagMessage]) -> None:
         """Take the references among messages; a `MessageError` if one is no depth image."""
         for message in messages:
             if message.topic == self.topic:
-                picture = read_depth_image(message.data)
-                self._references[picture.stamp_ns] = picture.pixels
+                if self._left[self._count]:
+                    self._references[self._count] = read_depth_image(message.data).pixels
+                self._count += 1
         while len(self._references) > 2 * _WAITING:
             del self._references[min(self._references)]
 
     def add_frame(self, index: int, result: ProcessedFrame) -> None:
         """Take the depth of a frame, if it has any."""
-        if result.maps is not None:
-            self._frames[index] = stamp_ns(result.header), result.maps
+        if index not in self._pairs:
+            return
+        if result.maps is None:
+            self._release(index)
+            return
+        self._frames[index] = result.maps
+        while len(self._frames) > _WAITING:
+            late = next(iter(self._frames))
+            del self._frames[late]
+            self._release(late)
 
-    def scores(self, end: bool = False) -> Iterator[tuple[int, FrameScore]]:
-        """Yield indices and scores of frames whose references have come; at the end, of all."""
-        for index, (taken_ns, maps) in list(self._frames.items()):
-            nearest = min(self._references, key=lambda at: abs(at - taken_ns), default=None)
-            apart_ns = TOLERANCE_NS + 1 if nearest is None else abs(nearest - taken_ns)
-            late = end or len(self._frames) > _WAITING
-            if apart_ns and not late:
+    def scores(self) -> Iterator[tuple[int, FrameScore]]:
+        """Yield indices and scores of frames whose references have come."""
+        for index, maps in list(self._frames.items()):
+            pair = self._pairs[index]
+            if (reference := self._references.get(pair.reference)) is None:
                 continue
             del self._frames[index]
-            if nearest is not None and apart_ns <= TOLERANCE_NS:
-                reference = self._references[nearest]
-                yield (
-                    index,
-                    frame_score(maps.depth_m, maps.confidence, reference, apart_ns, self.range_m),
-                )
+            self._release(index)
+            yield index, frame_score(
+                maps.depth_m, maps.confidence, reference, pair, self.range_m
+            )
+
+    def _release(self, index: int) -> None:
+        """Forget the reference of a frame, if no other frame has it."""
+        reference = self._pairs[index].reference
+        self._left[reference] -= 1
+        if not self._left[reference]:
+            self._references.pop(reference, None)

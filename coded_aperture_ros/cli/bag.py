@@ -25,7 +25,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.deblur import DeblurConfig
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth import DepthConfig, no_depth_reason
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
@@ -135,7 +135,8 @@ def run(args: Arguments) -> int:
     results = _convert(args, source, Path(args.output))
     for line in _warnings(source, results):
         logging.warning(line)
-    return print_summary(results, _text, as_json=args.json)
+    print_summary(results, _text, as_json=args.json)
+    return _log_without_depth(source, results)
 
 
 def _convert(args: Arguments, source: Path, target: Path, threads: int = 0) -> dict[str, Any]:
@@ -175,11 +176,26 @@ def _warnings(source: Path, results: Summary) -> Iterator[str]:
         yield f"{source}: left out of the new bag: {', '.join(results['left_out'])}"
     for reason, count in results["camera_info"].items():
         yield f"{source}: {reason} ({count} message(s))"
+    reference = results["reference"]
+    if reference is not None and reference["paired_by_recording"]:
+        yield (
+            f"{source}: {reference['paired_by_recording']} frame(s) compared with the depth image "
+            f"of {reference['topic']} that was recorded nearest to them: stamps do not tell which "
+            "one belongs to them (none, repeated, or of another clock)"
+        )
     for fault, reason in results["fault_reasons"].items():
         yield f"{results['faults'][fault]} frame(s) not used ({fault}): {reason}"
-    reference = results["reference"]
-    if reference and reference["complaint"]:
+    if reference is not None and reference["complaint"]:
         yield f"{source}, {reference['topic']}: {reference['complaint']}"
+
+
+def _log_without_depth(source: Path, results: Summary) -> int:
+    """Log an error if no frame of a bag has depth; return the exit status."""
+    depth = results["depth"]
+    if depth["coverage"]:
+        return 0
+    logging.error(f"{source}: no frame has depth: {no_depth_reason(depth['misfits'])}")
+    return 1
 
 
 def _settings(args: Arguments) -> dict[str, Any]:
@@ -213,7 +229,10 @@ def _convert_all(args: Arguments) -> int:
     for job, reason in failed.items():
         logging.error(f"{job.source}: {reason}")
     results = write_summary(Path(args.output), jobs, failed, len(jobs) - len(left))
-    return print_summary(results, _text_of_all, as_json=args.json) or int(bool(failed))
+    print_summary(results, _text_of_all, as_json=args.json)
+    done = [job for job in jobs if job not in failed]
+    without = [_log_without_depth(job.source, job.report()) for job in done]
+    return int(bool(failed) or any(without))
 
 
 def _bags_at_once(args: Arguments, count: int) -> int:

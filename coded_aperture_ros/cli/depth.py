@@ -28,7 +28,13 @@ from coded_aperture_ros.cli.estimation import (
     known_motion,
     make_pipeline,
 )
-from coded_aperture_ros.cli.frames import NamedFrame, Outputs, SkippedInputs, named_frames
+from coded_aperture_ros.cli.frames import (
+    InputsWithoutDepth,
+    NamedFrame,
+    Outputs,
+    SkippedInputs,
+    named_frames,
+)
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import check_output
@@ -76,6 +82,7 @@ def run(args: Arguments) -> int:
     outputs = Outputs(
         args.output, ".npy", _SUFFIXES, partial(_files_beside, args), _files_read(args)
     )
+    without_depth = InputsWithoutDepth()
     summaries: list[dict[str, Any]] = []
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     with shown as add_to_movie:
@@ -97,11 +104,12 @@ def run(args: Arguments) -> int:
                 add_to_movie(frame_beside_depth(named.frame.picture, values, scale))
             summary = _summary(args, named, estimate, values, seconds)
             summaries.append(summary)
+            without_depth.note(named, summary["median"] is not None, summary["cause"])
             if not args.json:
                 print(f"{named.output}: {_text(summary)}")
     if args.json:
         print(json.dumps(summaries))
-    return skipped.status()
+    return max(skipped.status(), without_depth.status())
 
 
 def _check_output(args: Arguments) -> None:

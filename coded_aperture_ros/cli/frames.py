@@ -16,6 +16,7 @@ from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.depth import no_depth_reason
 from coded_aperture_ros.frames import Frame, PixelFormat
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size
 from coded_aperture_ros.optics import Camera
@@ -35,7 +36,7 @@ class InputArguments(PixelArguments):
 
 @dataclasses.dataclass(frozen=True)
 class NamedFrame:
-    """A frame of an input, and where its result goes.
+    """A frame of an input, as it was given, and where its result goes.
 
     `video` changes where other frames begin: with every folder, video and bag. Pictures that are
     given one after the other belong together. `size` is that of the maps, rows and columns, where
@@ -46,6 +47,7 @@ class NamedFrame:
     output: Path  # where its result goes
     frame: Frame
     video: int
+    given: str
     capture: Capture | None = None
     size: tuple[int, int] | None = None
 
@@ -80,6 +82,33 @@ class SkippedInputs:
         for reason in self._reasons:
             print(f"coded_aperture: not used: {reason}", file=sys.stderr)
         return int(bool(self._reasons))
+
+
+class InputsWithoutDepth:
+    """Takes down which inputs have no frame with depth, and why."""
+
+    def __init__(self) -> None:
+        self._causes: dict[str, Counter[str]] = {}
+        self._lossy: set[str] = set()
+        self._with_depth: set[str] = set()
+
+    def note(self, named: NamedFrame, has_depth: bool, cause: str) -> None:
+        """Take down a frame, and the cause if it does not fit."""
+        causes = self._causes.setdefault(named.given, Counter())
+        if has_depth:
+            self._with_depth.add(named.given)
+        elif cause:
+            causes[cause] += 1
+        if named.frame.compression_noise:
+            self._lossy.add(named.given)
+
+    def status(self) -> int:
+        """Say which inputs have none, and return the exit status."""
+        without = [given for given in self._causes if given not in self._with_depth]
+        for given in without:
+            reason = no_depth_reason(self._causes[given], given in self._lossy)
+            print(f"coded_aperture: error: {given}: no frame has depth: {reason}", file=sys.stderr)
+        return int(bool(without))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,17 +186,17 @@ def named_frames(
         of_pictures = [path for name in names for path in outputs.files(outputs.path(name))]
         check_output(of_pictures, read)
         found = _captures(args, sources, skipped)
-        for given, capture, video in progress(found, total, "frame"):
+        for given, source, capture, video in progress(found, total, "frame"):
             target = outputs.path(capture.name)
             if capture.name not in names:
                 check_output(outputs.files(target), read, others=of_pictures)
             try:
-                with naming(given):
+                with naming(source):
                     frame = decode(capture, args, camera)
             except InputError as error:
                 skipped.note(error)
                 continue
-            yield NamedFrame(given, target, frame, video, capture)
+            yield NamedFrame(source, target, frame, video, given, capture)
 
 
 def _picture_names(sources: Sequence[FileSource[Any]], outputs: Outputs) -> list[str]:
@@ -193,15 +222,16 @@ def _picture_names(sources: Sequence[FileSource[Any]], outputs: Outputs) -> list
 
 def _captures(
     args: InputArguments, sources: Sequence[FileSource[Any]], skipped: SkippedInputs
-) -> Iterator[tuple[str, Capture, int]]:
-    """Yield what every frame is called, the frame as it is stored, and the number of its video."""
+) -> Iterator[tuple[str, str, Capture, int]]:
+    """Yield input and name of every frame, the frame as stored, and the number of its video."""
     video, alone = 0, False
     for given, source in zip(args.inputs, sources, strict=True):
         before = alone
         alone = isinstance(source, PictureSource) and source.files == (Path(given),)
         video += not (before and alone)
         for capture in captures(source, skipped.note):
-            yield given if alone else f"{given}, frame {capture.name}", capture, video
+            name = given if alone else f"{given}, frame {capture.name}"
+            yield given, name, capture, video
         if source.damage:
             logging.warning(f"{given}: read up to the damage: {source.damage}")
 

@@ -9,13 +9,14 @@ from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
-from coded_aperture_ros.depth.quality import CAUSES, Health
+from coded_aperture_ros.depth.quality import CAUSE_TEXTS, CAUSES, Health, no_depth_reason
 from coded_aperture_ros.depth.range_check import check_depth_range, depth_range_m, range_complaint
 from coded_aperture_ros.depth.stages import layer_specs
 from coded_aperture_ros.depth.video import estimate_video
 
 __all__ = [
     "CAUSES",
+    "CAUSE_TEXTS",
     "DEPTH_EDGE_PX",
     "MAP_SIZES",
     "REGULARIZERS",
@@ -32,6 +33,7 @@ __all__ = [
     "estimate_video",
     "map_size",
     "nearest_obstacle_m",
+    "no_depth_reason",
     "points_of_depth",
     "range_complaint",
     "refinement_note",

@@ -1,3 +1,10 @@
 """Out-of-distribution check of frames against their bank; see `FitCheck`."""
 
-from coded_aperture_ros.depth.quality.health import CAUSES, FitCheck, Health, can_be_checked
+from coded_aperture_ros.depth.quality.health import (
+    CAUSE_TEXTS,
+    CAUSES,
+    FitCheck,
+    Health,
+    can_be_checked,
+    no_depth_reason,
+)

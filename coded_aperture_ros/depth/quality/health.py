@@ -1,7 +1,7 @@
 """Out-of-distribution check: how well a frame fits its bank, and the likeliest cause if not."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -11,7 +11,7 @@ from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
 from coded_aperture_ros.depth.quality.spectra import quantiles
-from coded_aperture_ros.depth.quality.statistics import frame_statistics
+from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA = "coded-aperture check of fit"
@@ -33,6 +33,14 @@ CAUSES = {
     "tone": "values are not linear light: set the gamma",
     "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic: switch "
     "that off in the camera, or say bayer",
+}
+# Cause that is not the network's to find: a depth map in place of a frame.
+DEPTH_MAP = "depth_map"
+# Description and remedy of every cause.
+CAUSE_TEXTS = {
+    **CAUSES,
+    DEPTH_MAP: "values as smooth as those of a depth map, which no camera takes: give the coded "
+    "frame",
 }
 # Least health of a frame that fits.
 FIT_THRESHOLD = 0.5
@@ -82,7 +90,7 @@ class Health:
         Probability, in [0, 1], that confident depth is about right; a frame fits from
         `FIT_THRESHOLD` on.
     cause : str
-        The likeliest of `CAUSES` if the frame does not fit; empty if it does.
+        The likeliest of `CAUSE_TEXTS` if the frame does not fit; empty if it does.
 
     Examples
     --------
@@ -109,7 +117,7 @@ class Health:
         """Verdict in one line, with the cause and its remedy."""
         if self.fits:
             return f"fits ({self.value:.2f})"
-        return f"does not fit ({self.value:.2f}): {CAUSES[self.cause]}"
+        return f"does not fit ({self.value:.2f}): {CAUSE_TEXTS[self.cause]}"
 
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
@@ -139,6 +147,28 @@ def _outputs_of(features: FloatArray) -> FloatArray:
         if layer < _LAYERS - 1:
             np.maximum(values, 0, out=values)
     return np.asarray(values[..., 0].mean(axis=0))
+
+
+def no_depth_reason(causes: Mapping[str, int], lossy: bool = False) -> str:
+    """Likeliest reason why frames have no depth at all.
+
+    Parameters
+    ----------
+    causes : mapping of str to int
+        Number of frames that do not fit, by cause.
+    lossy : bool, optional
+        Whether they are known to be compressed with loss.
+
+    Examples
+    --------
+    >>> no_depth_reason({"tone": 3, "noise": 1})
+    'values are not linear light: set the gamma'
+    """
+    if lossy:
+        return CAUSE_TEXTS["compression"]
+    if causes:
+        return CAUSE_TEXTS[max(causes, key=lambda cause: causes[cause])]
+    return "too dark, saturated, or without texture"
 
 
 def can_be_checked(stack: PsfStack) -> bool:
@@ -211,7 +241,10 @@ class FitCheck:
             return self._health
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
-        self._outputs, self._health = outputs, _health_of(outputs)
+        health = _health_of(outputs)
+        if not health.fits and is_as_smooth_as_depth(observation.grey):
+            health = dataclasses.replace(health, cause=DEPTH_MAP)
+        self._outputs, self._health = outputs, health
         return self._health
 
     def features(
