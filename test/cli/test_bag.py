@@ -199,7 +199,8 @@ def test_compressed_frames_are_taken_to_be_noisier(scene, tmp_path, capsys, capl
         frame = compressed(frame_pixels(scene, "mono8", 0), suffix, 0, *quality)
         bag = write_bag(tmp_path / f"in{suffix}", [("/eye/image", COMPRESSED, START_NS, frame)])
         target = tmp_path / f"out{suffix}"
-        assert call(capsys, *command(scene, bag, target, "--deblur", "none")).status == 0
+        result = call(capsys, *command(scene, bag, target, "--deblur", "none"))
+        assert result.status == (suffix == ".jpg")  # which has no depth
         report = json.loads((target / "report" / "report.json").read_text())
         noise.append(report["series"][0]["noise"])
     # The median step of the standard's luminance table is 56.5.

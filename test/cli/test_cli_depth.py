@@ -380,6 +380,7 @@ def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
     shape = round(WIDTH / scale), round(HEIGHT / scale)
     np.save(tmp_path / "frame.npy", cv2.resize(np.load(scene.coded_npy), shape))
     options = ("--frame-scale", scale, "--movie", tmp_path / "v.mp4", "-o", tmp_path / "d.npy")
+    options += ("--min-confidence", 0)  # for depth, if not a good one
     result = call(capsys, "depth", "--bank", scene.bank, tmp_path / "frame.npy", *options)
     assert (result.status, result.err) == (0, "")
     shown, picture = cv2.VideoCapture(str(tmp_path / "v.mp4")).read()
@@ -402,7 +403,8 @@ def test_frames_without_texture_have_no_depth(scene, tmp_path, capsys, value):
     output = tmp_path / "depth.npy"
     arguments = ("--bank", scene.bank, frame, "-o", output, "--pictures")
     result = call(capsys, "depth", *arguments)
-    assert (result.status, result.err) == (0, "")
+    reason = "no frame has depth: too dark, saturated, or without texture"
+    assert (result.status, result.err) == (1, f"coded_aperture: error: {frame}: {reason}\n")
     assert "depth unknown everywhere" in result.out
     assert np.isnan(np.load(output)).all()
     assert (np.load(tmp_path / "depth.confidence.npy") == 0).all()
@@ -700,7 +702,10 @@ def test_a_lossy_video_stays_one_video_when_the_light_changes(
     video.release()
     for number, more in enumerate(((), ("--look-ahead",)), 1):
         arguments = ("--bank", scene.bank, path, "-o", tmp_path / "d", "--gamma", 2.2, *more)
-        assert call(capsys, "depth", *arguments, "--temporal-frames", 3).status == 0
+        result = call(capsys, "depth", *arguments, "--temporal-frames", 3)
+        line = f"{path}: no frame has depth: compressed pictures: record them without loss"
+        assert result.status == 1
+        assert result.err.splitlines()[-1] == f"coded_aperture: error: {line}"
         assert caplog.text.count("compressed with loss") == len(begun) == number
 
 
@@ -912,6 +917,7 @@ def test_look_ahead_in_a_video(scene, tmp_path, capsys):
         writer.write(np.rint(255 * frame[..., ::-1]).astype(np.uint8))
     writer.release()
     arguments = ("--bank", scene.bank, video, "--temporal-frames", 2, "-o", tmp_path / "depth")
+    arguments += ("--min-confidence", 0)  # the video is compressed
     result = call(capsys, "depth", *arguments, "--look-ahead")
     assert (result.status, result.err) == (0, "")
     assert [line.partition(":")[0] for line in result.out.splitlines()] == [
