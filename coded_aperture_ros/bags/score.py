@@ -214,9 +214,7 @@ class References:
                 continue
             del self._frames[index]
             self._release(index)
-            yield index, frame_score(
-                maps.depth_m, maps.confidence, reference, pair, self.range_m
-            )
+            yield index, frame_score(maps.depth_m, maps.confidence, reference, pair, self.range_m)
 
     def _release(self, index: int) -> None:
         """Forget the reference of a frame, if no other frame has it."""
