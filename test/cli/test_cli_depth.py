@@ -380,7 +380,7 @@ def test_a_video_of_resampled_frames(scene, tmp_path, capsys, scale):
     shape = round(WIDTH / scale), round(HEIGHT / scale)
     np.save(tmp_path / "frame.npy", cv2.resize(np.load(scene.coded_npy), shape))
     options = ("--frame-scale", scale, "--movie", tmp_path / "v.mp4", "-o", tmp_path / "d.npy")
-    options += ("--min-confidence", 0)  # for depth, if not a good one
+    options += ("--confidence-threshold", 0)  # for depth, if not a good one
     result = call(capsys, "depth", "--bank", scene.bank, tmp_path / "frame.npy", *options)
     assert (result.status, result.err) == (0, "")
     shown, picture = cv2.VideoCapture(str(tmp_path / "v.mp4")).read()
@@ -917,7 +917,7 @@ def test_look_ahead_in_a_video(scene, tmp_path, capsys):
         writer.write(np.rint(255 * frame[..., ::-1]).astype(np.uint8))
     writer.release()
     arguments = ("--bank", scene.bank, video, "--temporal-frames", 2, "-o", tmp_path / "depth")
-    arguments += ("--min-confidence", 0)  # the video is compressed
+    arguments += ("--confidence-threshold", 0)  # the video is compressed
     result = call(capsys, "depth", *arguments, "--look-ahead")
     assert (result.status, result.err) == (0, "")
     assert [line.partition(":")[0] for line in result.out.splitlines()] == [
