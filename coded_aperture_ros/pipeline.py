@@ -292,6 +292,25 @@ class FramePipeline:
         if self._deblurrer is not None:
             self._deblurrer.prepare(shape)
 
+    def warm_up(self, shape: Shape) -> None:
+        """Do beforehand what the first frame would wait for: plan, and compile loops.
+
+        On a new machine compiling takes seconds. Another video begins.
+
+        Parameters
+        ----------
+        shape : (int, int)
+            Rows and columns of the frames.
+        """
+        frame = Frame(np.random.default_rng(0).uniform(0.2, 0.8, (*shape, 3)).astype(np.float32))
+        if self._estimator is not None:
+            self._estimator.estimate(frame)
+        if self._deblurrer is not None:
+            sizes_px = self.model.stack.blur_sizes_px
+            everywhere = np.full(shape, sizes_px[len(sizes_px) // 2], np.float32)
+            self._deblurrer.deblur(frame.picture, everywhere, self._noise(frame), None)
+        self.reset()
+
     def close(self) -> None:
         """End the threads that the work was shared among."""
         if self._estimator is not None:

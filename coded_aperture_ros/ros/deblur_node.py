@@ -82,6 +82,11 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         """Keys and values of /diagnostics: camera file and bank."""
         return self._model.identity()
 
+    def warm_up(self) -> None:
+        """Run a frame of the camera's size through the pipeline."""
+        camera = self._model.camera
+        self._present_pipeline().warm_up((camera.image_height, camera.image_width))
+
     def restart(self) -> None:
         """Start a new video with the next frame; drop frames that wait for their depth."""
         super().restart()

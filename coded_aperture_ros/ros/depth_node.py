@@ -184,6 +184,11 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if pipeline is not None:
             pipeline.close()
 
+    def warm_up(self) -> None:
+        """Run a frame of the camera's size through the pipeline."""
+        camera = self._model.camera
+        self._present_pipeline().warm_up((camera.image_height, camera.image_width))
+
     def restart(self) -> None:
         """Start a new video with the next frame."""
         super().restart()

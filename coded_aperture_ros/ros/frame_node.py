@@ -38,6 +38,8 @@ _LAZY_PERIOD_S = 0.2
 # Shortest time between two log lines about messages with the same kind of fault.
 _LOG_PERIOD_S = 10.0
 # At shutdown, the frame in work may take so long before a line says what the node waits for.
+# A preparation that takes longer is logged: on a new machine loops are compiled.
+_LONG_WARM_UP_S = 2.0
 _SHUTDOWN_LOG_DELAY_S = 2.0
 
 
@@ -187,6 +189,9 @@ class FrameNode(ManagedNode, Generic[Item]):
     def process(self, item: Item) -> None:
         """Process one item and publish the results; called in the worker's thread."""
 
+    def warm_up(self) -> None:
+        """Do what the first frame would wait for; called in the worker's thread."""
+
     def restart(self) -> None:
         """Start a new video with the next frame, and drop what waits for more input.
 
@@ -230,7 +235,10 @@ class FrameNode(ManagedNode, Generic[Item]):
             # Subscribed at once, so that a QoS override that cannot be met is found at start.
             self._inputs.open()
             self._worker = NewestWorker(
-                self._process_safely, lambda: self.statistics.count_dropped("busy"), self.get_name()
+                self._process_safely,
+                lambda: self.statistics.count_dropped("busy"),
+                self.get_name(),
+                self._warm_up_safely,
             )
             self._update_listening()
             undo.pop_all()
@@ -307,6 +315,17 @@ class FrameNode(ManagedNode, Generic[Item]):
         except Exception as error:
             # The robot keeps driving: an internal error in one frame must not end the node.
             self.reject("internal", f"internal error {type(error).__name__}: {error}")
+
+    def _warm_up_safely(self) -> None:
+        started_s = time.monotonic()
+        try:
+            self.warm_up()
+        except Exception as error:  # a frame that has this fault says more about it
+            self.get_logger().info(f"not prepared for the first frame: {error}")
+            return
+        took_s = time.monotonic() - started_s
+        if took_s > _LONG_WARM_UP_S:
+            self.get_logger().info(f"ready for frames: planned and compiled in {took_s:.1f} s")
 
     def _update_listening(self) -> None:
         if self._worker is None:

@@ -26,11 +26,18 @@ class NewestWorker(Generic[Item]):
         Called whenever an item is replaced, in the thread that offers.
     name : str
         Name of the thread.
+    begin : callable
+        Called first, in the worker's thread. It must not raise.
     """
 
     def __init__(
-        self, work: Callable[[Item], None], dropped: Callable[[], None], name: str = "worker"
+        self,
+        work: Callable[[Item], None],
+        dropped: Callable[[], None],
+        name: str = "worker",
+        begin: Callable[[], None] = lambda: None,
     ) -> None:
+        self._begin = begin
         self._work = work
         self._dropped = dropped
         self._change = threading.Condition()
@@ -62,6 +69,7 @@ class NewestWorker(Generic[Item]):
         return not self._thread.is_alive()
 
     def _run(self) -> None:
+        self._begin()
         while True:
             with self._change:
                 self._change.wait_for(lambda: self._stopping or self._waiting is not None)
