@@ -1,6 +1,9 @@
 """What runs the networks: OpenCV, and ONNX Runtime, which computes in whole numbers."""
 
 import dataclasses
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -148,3 +151,21 @@ def test_a_runtime_that_is_not_installed_is_refused_at_the_start(config, monkeyp
         InputError, match="network: 'abacus' is not allowed, use one of auto, opencv"
     ):
         config(network="abacus")
+
+
+@needs_onnxruntime
+def test_nothing_is_reported_to_the_maker_of_the_runtime():
+    """It would say that it cannot store the identifier of this machine."""
+    program = (
+        "from coded_aperture_ros.core.archive import read_shipped\n"
+        "from coded_aperture_ros.core.networks import network_of\n"
+        "from coded_aperture_ros.deblur.blend import blend\n"
+        "shipped = blend.WEIGHTS, blend.SCHEMA, blend.SCHEMA_VERSION\n"
+        "network_of(read_shipped(blend.__file__, *shipped), 'blend', 'onnxruntime', 1)\n"
+    )
+    environment = {**os.environ, "HOME": "/proc/nothing", "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment.pop("ORT_DISABLE_TELEMETRY", None)
+    done = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True
+    )
+    assert (done.returncode, done.stderr) == (0, "")
