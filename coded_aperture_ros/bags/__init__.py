@@ -8,13 +8,13 @@ which a bag is a source of frames like a folder of pictures. Its files, in their
   files of a bag, each as far as it can be read;
 - `mcap_writing`, `writing`: new bags;
 - `frames`, `messages`: one frame through the pipeline, and the messages of its results;
-- `score`, `frame_log`, `figures`, `page`: the report;
+- `pairing`, `score`, `frame_log`, `figures`, `page`: the report;
 - `engine`: work on frames, or on bags, by worker processes;
 - `conversion`, `many`: one bag, and many.
 
 Needs rosbags and joblib, and matplotlib for reports, which come with the extra `eval`.
 """
 
-from coded_aperture_ros.bags.contents import BagMessage
-from coded_aperture_ros.bags.reading import Bag, is_bag
+from coded_aperture_ros.bags.contents import BagMessage, is_bag
+from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.writing import bag_output, check_bag_output

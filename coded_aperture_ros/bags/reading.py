@@ -9,17 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
-from coded_aperture_ros.bags.contents import METADATA, BagMessage, Supplement, Topic, storage_of
+from coded_aperture_ros.bags.contents import METADATA, BagMessage, Supplement, Topic, is_bag
 from coded_aperture_ros.core.errors import InputError
-
-
-def is_bag(path: str | os.PathLike[str]) -> bool:
-    """Whether a path looks like a bag: its folder, whole or cut off, or a file of one."""
-    path = Path(path)
-    if path.is_dir():
-        names = [file.name for file in path.iterdir()]
-        return METADATA in names or any(map(storage_of, names))
-    return path.is_file() and storage_of(path.name) is not None
 
 
 class Bag(AbstractContextManager["Bag"]):
