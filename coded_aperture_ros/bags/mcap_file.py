@@ -188,7 +188,7 @@ class McapFile:
             if kind == mcap.MESSAGE:
                 channel, _, time_ns, _ = mcap.MESSAGE_HEADER.unpack_from(content)
                 if channel in names:
-                    data = content[mcap.MESSAGE_HEADER.size :]
+                    data = bytes(content[mcap.MESSAGE_HEADER.size :])
                     messages.append((time_ns, (names[channel], data)))
         messages.sort(key=itemgetter(0))
         yield from messages

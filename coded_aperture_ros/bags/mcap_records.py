@@ -30,12 +30,15 @@ CHUNK = 0x06
 ATTACHMENT = 0x09
 STATISTICS = 0x0B
 METADATA_RECORD = 0x0C
+_DATA_END = 0x0F
 # Kind and length of a record.
 RECORD = struct.Struct("<BQ")
 # Channel, number in the sequence, times of recording and sending; the data follows.
 MESSAGE_HEADER = struct.Struct("<HIQQ")
 # Start and end time, size and checksum; compression, length of the records and these follow.
 _CHUNK_HEADER = struct.Struct("<QQQI")
+# The header, and the name of a compression of any length that there is, bytes.
+_CHUNK_START_BYTES = 128
 # The header of a chunk, which can be told from other bytes by its two lengths.
 _CHUNK_PATTERN = re.compile(
     rb"\x06(.{6}\0\0)(.{28})(\0\0\0\0|\x03\0\0\0lz4|\x04\0\0\0zstd)(.{6}\0\0)", re.DOTALL
@@ -43,6 +46,9 @@ _CHUNK_PATTERN = re.compile(
 # In the statistics: where the number of chunks stands, and those of each channel's messages.
 _CHUNK_COUNT = 22
 _COUNTS = 46
+_MESSAGE_PATTERN = re.compile(rb"\x05(.{5}\0\0\0)", re.DOTALL)
+# What may follow a message that is in no chunk.
+_FOLLOWING = (SCHEMA, CHANNEL, MESSAGE, ATTACHMENT, METADATA_RECORD, _DATA_END)
 # Summary's start, start of its offsets, checksum.
 _FOOTER = struct.Struct("<QQI")
 
@@ -87,20 +93,25 @@ class Channel:
 def records(file: BinaryIO, position: int, end: int) -> Iterator[Record]:
     """Yield the records of a file between two positions.
 
-    Where there are none, because of damage, the next chunk is looked for; the gap is told by the
-    records' positions. The last record may be incomplete.
+    Where there are none, because of damage, the next chunk is looked for, or in a file without
+    chunks the next message; the gap is told by the records' positions. The last record may be
+    incomplete.
     """
     before = position
+    chunked = False
     while position + RECORD.size <= end:
         file.seek(position)
         kind, length = RECORD.unpack(file.read(RECORD.size))
         start = position + RECORD.size
         if kind and start + length <= end:
             yield Record(kind, start, start + length)
+            chunked |= kind == CHUNK
             before, position = position, start + length
             continue
         # The length of the record before may be what is wrong.
         found = _next_chunk(file, before + 1, end)
+        if found is None and not chunked and kind != CHUNK:
+            found = _next_message(file, before + 1, end)
         if found is None:
             if kind in (CHUNK, MESSAGE) and length:
                 yield Record(kind, start, end, complete=False)
@@ -122,6 +133,21 @@ def _next_chunk(file: BinaryIO, position: int, end: int) -> int | None:
     return None
 
 
+def _next_message(file: BinaryIO, position: int, end: int) -> int | None:
+    """Position of the first message behind another position that a record follows, or None."""
+    with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        while match := _MESSAGE_PATTERN.search(content, position, end):
+            (length,) = struct.unpack("<Q", match[1])
+            behind = match.start() + RECORD.size + length
+            if length >= MESSAGE_HEADER.size and behind + RECORD.size <= end:
+                kind, next_length = RECORD.unpack_from(content, behind)
+                fits = behind + RECORD.size + next_length <= end
+                if fits and kind in _FOLLOWING:
+                    return match.start()
+            position = match.start() + 1
+    return None
+
+
 def read_content(file: BinaryIO, record: Record) -> bytes:
     """Content of a record."""
     file.seek(record.start)
@@ -134,23 +160,23 @@ def start_time_ns(file: BinaryIO, chunk: Record) -> int:
     return int.from_bytes(file.read(8), "little")
 
 
-def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, bytes]], int]:
+def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryview]], int]:
     """Kinds and contents of the records in a chunk, and bytes of it that are damaged.
 
     Of a chunk that does not fit its checksum nothing is used, unless it breaks off with zeros,
     which file systems fill in for what was never written.
     """
-    content = read_content(file, chunk)
-    body = io.BytesIO(content)
+    # Views: a frame is copied once, when it is read, and once, when it is given out.
+    content = memoryview(read_content(file, chunk))
+    body = io.BytesIO(content[:_CHUNK_START_BYTES])
     try:
         _, _, size, checksum = _CHUNK_HEADER.unpack(body.read(_CHUNK_HEADER.size))
         compression = read_string(body)
-        raw = body.read()[8:]
+        raw = content[body.tell() + 8 :]
     except DAMAGE:
         return [], len(content)
     try:
-        inner = decompress(raw, compression, size, checksum)
-        return _inner_records(inner)
+        return _inner_records(memoryview(decompress(raw, compression, size, checksum)))
     except DAMAGE:
         if compression:
             return [], len(content)
@@ -160,7 +186,7 @@ def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, bytes]]
     return found, unused
 
 
-def _inner_records(content: bytes) -> tuple[list[tuple[int, bytes]], int]:
+def _inner_records(content: memoryview) -> tuple[list[tuple[int, memoryview]], int]:
     """Kinds and contents of records in a row, and bytes behind the last one."""
     found = []
     position = 0
@@ -181,7 +207,7 @@ class Descriptions:
         self._schemas: dict[int, tuple[str, str, bytes]] = {}
         self._channels: dict[int, tuple[int, str, str, bytes]] = {}
 
-    def add(self, kind: int, content: bytes) -> None:
+    def add(self, kind: int, content: bytes | memoryview) -> None:
         """Add what a schema or a channel says; records of other kinds are nothing to add."""
         body = io.BytesIO(content)
         if kind == SCHEMA:

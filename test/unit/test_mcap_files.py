@@ -244,6 +244,17 @@ def test_what_is_behind_a_damaged_chunk_is_read(tmp_path, compression, damage, n
     assert "cut off" not in words
 
 
+@pytest.mark.parametrize("damage", [damaged_header, damaged_length, lost_kind, lost_sector])
+def test_what_is_behind_a_damaged_message_in_no_chunk_is_read(tmp_path, damage):
+    path = write_mcap(tmp_path / "a.mcap", use_chunking=False)
+    data = bytearray(path.read_bytes())
+    damage(data, data.index(DATA[5]) - 31)
+    path.write_bytes(data)
+    found, words = opened(path)
+    assert found == [*DATA[:5], *DATA[6:]]
+    assert "a.mcap: " in words and "left out" in words
+
+
 def test_messages_in_no_chunk_come_in_the_order_of_their_times(tmp_path):
     path = tmp_path / "a.mcap"
     with path.open("wb") as file:
