@@ -22,6 +22,7 @@ from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px, check_depth_range
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, write_image
+from coded_aperture_ros.io.display import display_path, write_light_for_display
 from coded_aperture_ros.likelihood.bank import FilterBank, check_setting, load_bank
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera_file import camera_files
@@ -80,6 +81,11 @@ class Arguments(InputArguments, CameraArguments):
         maximum=1024,
         daily=False,
     )
+    pictures: bool = argument(
+        "write OUT.picture.png too, 8 bits and sRGB, beside linear pictures, which look dark in "
+        "most viewers",
+        True,
+    )
     json: bool = argument("print a summary as JSON", False)
     stereo_output: StereoArguments = group(
         "3D pictures: 8 bits, sRGB or as --gamma says, .npy linear; folders where OUT is one",
@@ -111,8 +117,11 @@ def run(args: Arguments) -> int:
     restorer = _Restorer(args, bank, camera)
     encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
 
+    for_display = args.pictures and not encoding
+
     def files(output: Path) -> list[Path]:
         beside = [output.with_suffix(_STD_DEV), output.with_suffix(_KIND)] if args.std_dev else []
+        beside += [display_path(output)] if for_display else []
         return [*stereo.outputs(output), *beside]
 
     skipped = SkippedInputs()
@@ -136,6 +145,8 @@ def run(args: Arguments) -> int:
             skipped.note(error)
             continue
         write_image(named.output, sharp, **encoding)
+        if for_display:
+            write_light_for_display(named.output, sharp)
         summary: dict[str, Any] = {"output": str(named.output), "seconds": round(seconds, 3)}
         if found is not None:
             summary |= _write_uncertainty(found, named.output)
@@ -249,8 +260,8 @@ COMMAND = Command(
     Arguments,
     run,
     description="Remove the blur of every pixel according to its depth. PNG pictures are written "
-    "with 16 bits in linear light, which look dark in most viewers; with --gamma they are written, "
-    "like the input, with 8 bits in that encoding.",
+    "with 16 bits in linear light, which look dark in most viewers: look at x.picture.png beside "
+    "x.png. With --gamma they are written, like the input, with 8 bits in that encoding.",
     examples=_EXAMPLES,
     rules=_RULES,
 )

@@ -21,6 +21,7 @@ from coded_aperture_ros.cli.depth_pictures import (
     picture_files,
     write_pictures,
 )
+from coded_aperture_ros.cli.depth_truth import TrueDepth, comparison_file, truth_text
 from coded_aperture_ros.cli.depth_video import look_ahead, with_second_focus
 from coded_aperture_ros.cli.estimation import (
     estimates_motion,
@@ -39,9 +40,10 @@ from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.text import rounded
-from coded_aperture_ros.depth import DepthEstimate, Health, LayerSpec, layer_specs
+from coded_aperture_ros.depth import DepthEstimate, Health, LayerSpec, depth_range_m, layer_specs
 from coded_aperture_ros.depth.points import points_of_frame
 from coded_aperture_ros.io import write_depth
+from coded_aperture_ros.io.display import display_path, write_depth_for_display
 from coded_aperture_ros.io.movie_file import movie
 from coded_aperture_ros.io.points_file import write_points
 from coded_aperture_ros.likelihood.choose import filter_bank
@@ -78,6 +80,9 @@ def run(args: Arguments) -> int:
         resampled=resampled,
         warns_of_sides=args.refocused_frame is None,
     )
+    truth = None
+    if args.truth:
+        truth = TrueDepth.from_file(args.truth, depth_range_m(pipeline.model, pipeline.camera))
     skipped = SkippedInputs()
     outputs = Outputs(
         args.output, ".npy", _SUFFIXES, partial(_files_beside, args), _files_read(args)
@@ -96,6 +101,8 @@ def run(args: Arguments) -> int:
                 # Depths of each frame have a scale of their own, which shows more.
                 ends = scale if args.as_levels else ()
                 write_pictures(named.output, values, estimate.confidence, ends)
+            elif named.output.suffix.lower() == ".png":  # in mm, which viewers show black
+                write_depth_for_display(named.output, values)
             if args.points and camera is not None and named.capture is not None:
                 light, model = named.frame.picture, named.capture.intrinsics(camera)
                 points = points_of_frame(estimate, light, model, args.gamma)
@@ -103,6 +110,9 @@ def run(args: Arguments) -> int:
             if add_to_movie is not None:
                 add_to_movie(frame_beside_depth(named.frame.picture, values, scale))
             summary = _summary(args, named, estimate, values, seconds)
+            if truth is not None:
+                errors = truth.compare(named.output, named.frame.picture, estimate)
+                summary["truth"] = errors
             summaries.append(summary)
             without_depth.note(named, summary["median"] is not None, summary["cause"])
             if not args.json:
@@ -124,7 +134,7 @@ def _check_output(args: Arguments) -> None:
 
 def _files_read(args: Arguments) -> list[Path]:
     """Files that the options name."""
-    given = [Path(path) for path in (args.bank, args.refocused_frame) if path]
+    given = [Path(path) for path in (args.bank, args.refocused_frame, args.truth) if path]
     return [*given, *(camera_files(args.camera) if args.camera else ())]
 
 
@@ -215,6 +225,10 @@ def _files_beside(args: Arguments, path: Path) -> list[Path]:
         files.append(_file_beside(path, "std_dev"))
     if args.pictures:
         files += picture_files(path)
+    elif path.suffix.lower() == ".png":
+        files.append(display_path(path))
+    if args.truth:
+        files.append(comparison_file(path))
     if args.points:
         files.append(path.with_suffix(".ply"))
     return files
@@ -275,6 +289,8 @@ def _text(summary: dict[str, Any]) -> str:
         found += f", {100 * summary['moving']:.0f} % moving"
         if summary["searched"] not in ("", _NOT_ASKED):
             found += f" (all motions tried: {summary['searched']})"
+    if "truth" in summary:
+        found += f"; {truth_text(summary['truth'])}"
     if summary["cause"]:
         found += f"; {Health(summary['health'], summary['cause'])}"
     return f"{found}; noise {summary['noise']:.4f}, {summary['seconds']:.2f} s"

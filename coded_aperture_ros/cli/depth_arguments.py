@@ -12,6 +12,8 @@ from coded_aperture_ros.depth import layer_specs
 EXAMPLES = """examples:
   one frame, depth in metres and confidence as .npy, and a picture of both:
     coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
+  compared with the true depth, as sample and simulate have it:
+    coded_aperture depth --bank bank.npz coded.png -o depth.npy --truth depth.png
   all frames of a folder:
     coded_aperture depth --bank bank.npz --regularize graphcut frames/ -o depth/
   a recorded video, each frame together with those before and after it:
@@ -64,6 +66,12 @@ class Arguments(InputArguments, EstimationArguments):
         daily=False,
     )
     pictures: bool = argument("write colour pictures of depth and confidence too", False)
+    truth: str | None = argument(
+        "true depth of all frames: 16-bit PNG in mm, or .tiff or .npy in m. Errors are printed, "
+        "and x.comparison.png shows them beside x.npy",
+        None,
+        written="--truth FILE",
+    )
     movie: str | None = argument(
         "write a video of the frames beside their depth too, 10 a second",
         None,
@@ -97,6 +105,7 @@ RULES = (
     excludes("--look-ahead", "--angular-velocity", note="which is of one frame"),
     needs("--points", "--camera"),
     excludes("--points", "--as-levels"),
+    excludes("--truth", "--as-levels"),
     excludes("--frame-scale", "--look-ahead", "--motion | --method motion"),
     needs("--refocused-frame", "--refocused-to", "--camera"),
     needs("--refocused-to", "--refocused-frame"),

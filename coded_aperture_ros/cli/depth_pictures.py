@@ -10,6 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthEstimator
 from coded_aperture_ros.frames import SRGB, encode
 from coded_aperture_ros.io import confidence_picture, depth_picture, write_image
+from coded_aperture_ros.io.display import display_path
 
 # Both ends, and the unit.
 Scale = tuple[float, float, str]
@@ -39,7 +40,7 @@ def frame_beside_depth(picture: FloatArray, values: FloatArray, scale: Scale) ->
 
 def picture_files(path: Path) -> tuple[Path, Path]:
     """Files of the pictures of a depth map and of its confidence."""
-    return path.with_suffix(".picture.png"), path.with_suffix(".confidence.picture.png")
+    return display_path(path), display_path(path.with_suffix(".confidence.npy"))
 
 
 def write_pictures(

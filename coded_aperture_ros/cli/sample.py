@@ -15,6 +15,11 @@ from coded_aperture_ros.core.files import temporary_folder
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.io import write_depth, write_image
+from coded_aperture_ros.io.display import (
+    display_path,
+    write_depth_for_display,
+    write_light_for_display,
+)
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.likelihood.bank import power_spectrum
 from coded_aperture_ros.optics import Camera, load_camera
@@ -68,12 +73,15 @@ def _made(folder: Path) -> Iterator[list[str]]:
     camera, sensor = load_camera(folder / "camera.yaml"), SensorModel(_NOISE, 12)
     scene = PanningScene(motorcycle_scene(), camera, sensor)
     views = [scene.frame(index / _RATE_HZ) for index in range(_FRAMES)]
-    write_image(folder / "coded.png", views[0].coded)
-    write_image(folder / "sharp.png", views[0].sharp)
+    for name, light in (("coded.png", views[0].coded), ("sharp.png", views[0].sharp)):
+        write_image(folder / name, light)
+        write_light_for_display(folder / name, light)
     write_depth(folder / "depth.png", views[0].depth_m)
+    write_depth_for_display(folder / "depth.png", views[0].depth_m)
     for index, view in enumerate(views):
         write_image(folder / "video" / f"{index:02}.png", view.coded)
-    yield ["camera.yaml", "coded.png", "sharp.png", "depth.png", "video"]
+    names = "coded.png", "sharp.png", "depth.png"
+    yield ["camera.yaml", *names, *(display_path(name).name for name in names), "video"]
 
     random, entries = np.random.default_rng(0), []
     spectrum = np.sqrt(power_spectrum(2.2, _PLANE_PX))
@@ -124,6 +132,7 @@ COMMAND = Command(
     description="Write what a camera file describes as the simulated camera records it: a "
     "coded frame (coded.png) with its truth (sharp.png, depth.png), frames of a video "
     "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). All is 2.1 to "
-    "5.1 m away. The examples of the documentation run on them.",
+    "5.1 m away. Look at coded.picture.png and so on: the others have 16 bits, linear light or mm, "
+    "for programs. The examples of the documentation run on them.",
     examples=_EXAMPLES,
 )

@@ -20,6 +20,7 @@ from coded_aperture_ros.core.files import atomic_output, check_output, check_suf
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image
+from coded_aperture_ros.io.display import display_path, write_light_for_display
 from coded_aperture_ros.optics import MASK_NAMES, Camera, load_camera, load_mask
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 from coded_aperture_ros.simulation.layered import random_scene
@@ -111,7 +112,8 @@ def _render_random_scene(args: Arguments, number: int) -> int:
         "all_in_focus": output.with_suffix(f".all_in_focus{output.suffix}"),
         "camera": output.with_suffix(".camera.yaml"),
     }
-    check_output([output, *beside.values()], input_files(args.scene.mask))
+    pictures = display_path(output), display_path(beside["all_in_focus"])
+    check_output([output, *beside.values(), *pictures], input_files(args.scene.mask))
     width, height = args.scene.size or _SIZE
     start = time.perf_counter()
     scene = random_scene(number, load_mask(mask), args.scene.side or _SIDE, (height, width))
@@ -119,7 +121,9 @@ def _render_random_scene(args: Arguments, number: int) -> int:
     depth_m = scene.depth_m()
     seconds = time.perf_counter() - start
     _write_coded(args, coded)
-    write_image(beside["all_in_focus"], scene.all_in_focus())
+    sharp = scene.all_in_focus()
+    write_image(beside["all_in_focus"], sharp)
+    write_light_for_display(beside["all_in_focus"], sharp)
     write_depth(beside["depth"], depth_m)
     with atomic_output(beside["camera"]) as path:
         path.write_text(_camera_text(scene.camera, mask))
@@ -143,7 +147,10 @@ def _camera_text(camera: Camera, mask: str) -> str:
 
 def _render_files(args: Arguments, camera_file: str, image_file: str, depth_file: str) -> int:
     """Render a scene that is given as picture and depth."""
-    check_output(args.output, input_files(image_file, depth_file, camera=camera_file))
+    check_output(
+        [Path(args.output), display_path(args.output)],
+        input_files(image_file, depth_file, camera=camera_file),
+    )
     camera = load_camera(camera_file)
     image = read_image(image_file, args.gamma)
     depth_m = read_depth(depth_file, args.depth_scale)
@@ -173,7 +180,9 @@ def _render_files(args: Arguments, camera_file: str, image_file: str, depth_file
 def _write_coded(args: Arguments, coded: FloatArray) -> None:
     """Write the frame as the sensor reads it out."""
     sensor = SensorModel(args.noise, args.bits)
-    write_image(args.output, sensor.expose(coded, np.random.default_rng(args.seed)))
+    exposed = sensor.expose(coded, np.random.default_rng(args.seed))
+    write_image(args.output, exposed)
+    write_light_for_display(args.output, exposed)
 
 
 def _print(
@@ -203,7 +212,8 @@ COMMAND = Command(
     description="Render what a coded-aperture camera records of a scene, given as a sharp "
     "picture and a depth map of the same size, with occlusion and sensor noise. Or of a random "
     "scene: its depth, all-in-focus picture and camera are then written beside the frame, as "
-    "x.depth.npy, x.all_in_focus.png and x.camera.yaml for x.png.",
+    "x.depth.npy, x.all_in_focus.png and x.camera.yaml for x.png. Pictures of linear light look "
+    "dark in most viewers: look at x.picture.png beside x.png.",
     examples=_EXAMPLES,
     rules=_RULES,
 )

@@ -52,6 +52,12 @@ def gain_db(frame, scene):
     return 10 * np.log10(error(np.load(scene.coded_npy)) / error(frame))
 
 
+def with_pictures(*files):
+    """Names of linear pictures, and of those to look at beside them."""
+    beside = [file.replace(".png", ".picture.png") for file in files]
+    return sorted([*files, *beside])
+
+
 def deblur(capsys, scene, output, *options, depth="auto"):
     arguments = ("--bank", scene.bank, "--depth", depth, scene.coded_png, "-o", output, *options)
     return call(capsys, "deblur", *arguments)
@@ -78,7 +84,7 @@ def test_formats_of_the_output(scene, tmp_path, capsys, suffix):
     assert (result.status, result.err) == (0, "")
     (summary,) = json.loads(result.out)
     assert summary["output"] == str(output)
-    assert names(tmp_path) == [output.name]
+    assert names(tmp_path) == sorted([output.name, "sharp.picture.png"])
     sharp = read_image(output)
     assert sharp.shape == (HEIGHT, WIDTH, 3)
     assert gain_db(sharp, scene) > 3
@@ -278,7 +284,7 @@ def test_a_folder_of_frames(scene, tmp_path, capsys):
         shutil.copy(scene.coded_png, tmp_path / "in" / name)
     options = ("--bank", scene.bank, "--depth", scene.depth_npy, "-o", tmp_path / "out")
     assert call(capsys, "deblur", *options, tmp_path / "in").status == 0
-    assert names(tmp_path / "out") == ["a.png", "b.png"]
+    assert names(tmp_path / "out") == with_pictures("a.png", "b.png")
     before = everything(tmp_path)
     options = ("--bank", scene.bank, "--depth", scene.depth_npy, "-o", tmp_path / "in")
     refused(call(capsys, "deblur", *options, tmp_path / "in"), "a.png", "use another name")
@@ -305,7 +311,7 @@ def test_a_bag_of_frames(scene, tmp_path, capsys):
     arguments = ("--bank", scene.bank, "--depth", scene.depth_npy, bag, "-o", tmp_path / "out")
     result = call(capsys, "deblur", *arguments)
     assert (result.status, result.err) == (0, "")
-    assert names(tmp_path / "out") == ["in_000000.png", "in_000001.png"]
+    assert names(tmp_path / "out") == with_pictures("in_000000.png", "in_000001.png")
 
 
 def expected_pair(scene, sharp, shift_px):
@@ -322,7 +328,7 @@ def test_3d_pictures_beside_the_sharp_one(scene, tmp_path, capsys):
     assert [summary[key] for key in ("output", "anaglyph", "stereo")] == [
         *(str(output), str(red_cyan), str(both))
     ]
-    assert names(tmp_path) == ["3d.png", "both.npy", "sharp.npy"]
+    assert names(tmp_path) == ["3d.png", "both.npy", "sharp.npy", "sharp.picture.png"]
     left, right = expected_pair(scene, np.load(output), 9.0)
     assert np.abs(left - right).max() > 0.05
     assert np.load(both) == pytest.approx(side_by_side(left, right), abs=0.02)
@@ -335,7 +341,7 @@ def test_3d_pictures_beside_the_sharp_one(scene, tmp_path, capsys):
 def test_how_far_it_can_be_relied_on_beside_the_sharp_one(scene, tmp_path, capsys):
     result = deblur(capsys, scene, tmp_path / "a.npy", "--std-dev", depth=scene.depth_npy)
     assert (result.status, result.err) == (0, "")
-    assert names(tmp_path) == ["a.kind.png", "a.npy", "a.uncertainty.npy"]
+    assert names(tmp_path) == ["a.kind.png", "a.npy", "a.picture.png", "a.uncertainty.npy"]
     kind = cv2.imread(str(tmp_path / "a.kind.png"), cv2.IMREAD_UNCHANGED)
     std_dev, size = np.load(tmp_path / "a.uncertainty.npy"), np.load(tmp_path / "a.npy").shape[:2]
     assert kind.shape == std_dev.shape == size and set(np.unique(kind)) <= {0, 127, 254}
@@ -411,7 +417,7 @@ def test_frames_of_a_folder_share_the_scale_of_their_parallax(scene, tmp_path, c
     arguments = ("--bank", scene.bank, "--depth", "auto", "-o", tmp_path / "out", tmp_path / "in")
     options = ("--anaglyph", f"{tmp_path}/3d", "--stereo", f"{tmp_path}/3d/both.views")
     assert call(capsys, "deblur", *arguments, *options).status == 0
-    assert names(tmp_path / "out") == ["a.png", "b.png"]
+    assert names(tmp_path / "out") == with_pictures("a.png", "b.png")
     assert names(tmp_path / "3d") == ["a.png", "b.png", "both.views"]
     assert names(tmp_path / "3d" / "both.views") == ["a.png", "b.png"]
     first, second = scales
