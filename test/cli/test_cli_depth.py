@@ -135,7 +135,9 @@ def test_depth_of_the_simulated_planes(scene, tmp_path, capsys, suffix):
         tmp_path / f"depth.{name}{'.npy' if suffix == '.npy' else '.tiff'}"
         for name in ("confidence", "std_dev")
     )
-    assert names(tmp_path) == sorted([output.name, confidence_file.name, deviation_file.name])
+    beside = [confidence_file.name, deviation_file.name]
+    beside += ["depth.picture.png"] if suffix == ".png" else []
+    assert names(tmp_path) == sorted([output.name, *beside])
     depth_m = read_depth(output)
     assert depth_m.shape == (HEIGHT, WIDTH)
     median, known = relative_error(depth_m, scene)
@@ -549,7 +551,7 @@ def test_bad_frames_in_a_folder_are_named_and_the_others_done(scene, tmp_path, c
     assert unusable[0].startswith(f"coded_aperture: not used: {tmp_path}, frame b: ")
     assert unusable[1].startswith(f"coded_aperture: not used: cannot read {tmp_path}/c.png: not a")
     assert len(unusable) == 2
-    kinds = [""] if command == "deblur" else [".confidence", "", ".std_dev"]
+    kinds = [".picture", ""] if command == "deblur" else [".confidence", "", ".std_dev"]
     suffix = ".png" if command == "deblur" else ".npy"
     assert names(out) == [f"{name}{kind}{suffix}" for name in "ad" for kind in kinds]
 

@@ -24,7 +24,7 @@ def test_views_of_one_frame(scene, tmp_path, capsys):
     options = ("-o", output, "--views", folder)
     (summary,) = json_of(capsys, "deblur", *arguments, scene.coded_png, *options)
     assert summary["views"] == str(folder)
-    assert names(tmp_path) == ["sharp.npy", "views"]
+    assert names(tmp_path) == ["sharp.npy", "sharp.picture.png", "views"]
     assert names(folder) == [f"view_{row:02}_{column:02}.png" for row, column in PLACES]
     assert (len(PLACES), PLACES[5, 5]) == (43, (0, 0))
     blur = load_camera(scene.camera).blur_size_px(scene.depth_m).astype(np.float32)
@@ -46,7 +46,8 @@ def test_each_frame_of_a_folder_has_views_of_its_own(scene, tmp_path, capsys):
     options = ("--views", tmp_path / "views")
     where = (tmp_path / "in", "-o", tmp_path / "out")
     assert call(capsys, "deblur", *arguments, *where, *options).status == 0
-    assert names(tmp_path / "out") == ["a.png", "b.png"]
+    out = names(tmp_path / "out")
+    assert out == ["a.picture.png", "a.png", "b.picture.png", "b.png"]
     assert names(tmp_path / "views") == ["a", "b"]
     assert len(names(tmp_path / "views" / "b")) == len(PLACES)
 

@@ -68,10 +68,10 @@ def decode_picture(data: bytes | memoryview) -> StoredPicture:
             check_png(data)
         elif data[:4] == b"GIF8" or (data[8:12] == b"WEBP" and data[12:].find(b"ANIM", 0, 64) >= 0):
             raise InputError("an animation, expected one picture: write each frame into a file")
+        # Before decoding, in which libjpeg would print what it makes up.
+        elif is_jpeg(data) and is_damaged_jpeg(data):
+            raise InputError("truncated or damaged: a part of the JPEG is missing or wrong")
         pixels = _decoded(data)
-        # Afterwards: what cannot be decoded is not a picture, however damaged.
-        if is_jpeg(data) and is_damaged_jpeg(data):
-            raise InputError("damaged: a part of the JPEG is missing or wrong")
     return StoredPicture(pixels, np.iinfo(pixels.dtype).max if pixels.dtype.kind in "ui" else 1)
 
 

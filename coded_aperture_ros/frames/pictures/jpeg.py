@@ -38,6 +38,8 @@ _ALONE = {0x01, *range(0xD0, 0xD8)}
 _DIVIDER = re.compile(rb"\xff+([\x01-\xfe])")
 _RESTARTS = range(0xD0, 0xD8)
 _BLOCK_PX = 8
+_DC_TABLES = range(4)
+_AC_TABLES = range(16, 20)
 # Largest coefficients of pictures of 8 bits are 1024; encoders that soften ringing go beyond.
 _LARGEST = 1280
 # Noise over the rounding of the median coefficient: best for depth from quality 95 down to 50.
@@ -107,8 +109,8 @@ def is_damaged_jpeg(data: bytes) -> bool:
                     return True
             elif not _note(frame, kind, segment):
                 return False
-    except (struct.error, IndexError, KeyError, ValueError):
-        return True  # the decoder has read the header, or says itself that it cannot
+    except (struct.error, LookupError, ArithmeticError, ValueError):
+        return True  # a header that is no header
     return frame.scanned != set(frame.components)
 
 
@@ -190,6 +192,8 @@ def _huffman_tables(segment: bytes) -> dict[int, bytes]:
     at = 0
     while at < len(segment):
         length = 17 + sum(segment[at + 1 : at + 17])
+        if at + length > len(segment):
+            raise ValueError("a table is cut off")
         tables[segment[at]] = segment[at + 1 : at + length]
         at += length
     return tables
@@ -234,8 +238,12 @@ def _is_damaged_scan(frame: _Frame, header: bytes, data: bytes) -> bool:
     count = _mcu_count(frame, components)
     nonzero = None
     if scan.first == 0:
+        if count > 8 * len(data):  # every block has a bit: a size that nobody should allocate
+            return True
         frame.scanned |= set(names)
     else:
+        if names[0] not in frame.scanned:
+            return True
         nonzero = frame.nonzero.setdefault(names[0], np.zeros((count, 64), np.bool_))
     length = frame.interval or count
     intervals = _restart_intervals(data)
@@ -263,16 +271,19 @@ def _scan(frame: _Frame, header: bytes, components: list[_Component]) -> Scan:
         for index, (component, table) in enumerate(zip(components, tables, strict=True))
         for _ in range(component.across * component.down if len(components) > 1 else 1)
     ]
+    known = all(table >> 4 in _DC_TABLES and table & 15 in _DC_TABLES for table in tables)
+    if not (known and first <= last < 64):
+        raise ValueError("a scan of tables or coefficients that there are not")
     codes = frame.codes if frame.progressive else _standard_tables() | frame.codes
     steps = [frame.steps[component.table] for component in components]
     return Scan(
         kind,
-        first,
+        first if frame.progressive else 0,
         last if frame.progressive else 63,
         bits & 15,
         np.array(order),
-        _lookups(tuple(codes.get(16 * ac + number, b"") for ac in (0, 1) for number in range(4))),
-        np.array([(_LARGEST + each) // each for each in steps]),
+        _lookups(tuple(codes.get(number, b"") for number in (*_DC_TABLES, *_AC_TABLES))),
+        np.array([(_LARGEST + each) // np.maximum(each, 1) for each in steps]),
     )
 
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 # the mean value or of the others.
 SEQUENTIAL, DC_FIRST, DC_REFINED, AC_FIRST, AC_REFINED = range(5)
 CODE_BITS = 16
-_PADDING = b"\0" * 16
+# The longest codes and bits of a whole block: where data end is looked at after each block.
+_PADDING = bytes(1024)
 # For the coefficients of scans that no later one refines.
 _NOT_KEPT = 1
 

@@ -1,5 +1,6 @@
 """Netpbm's formats (PBM, PGM, PPM, PAM) and PFM, with a largest value of their own."""
 
+import math
 import re
 
 import numpy as np
@@ -61,7 +62,7 @@ def read_pnm(data: bytes) -> tuple[NDArray, int]:
     if kind == _PAM:
         return _read_pam(data)
     numbers = 2 if kind in _PBM else 3
-    words = rb"(-?[\d.]+(?:[eE][+-]?\d+)?)"
+    words = rb"(-?\d+(?:\.\d*)?(?:[eE][+-]?\d+)?)"
     header = re.match(kind + (_SPACE + words) * numbers + rb"(?:#[^\n]*\n|\s)", data)
     if header is None:
         raise InputError("truncated, or its Netpbm header is damaged")
@@ -101,7 +102,7 @@ def _integers(body: bytes, kind: bytes, shape: tuple[int, int, int], white: int)
         values = _read_words(body, kind, shape)
     else:
         stored = np.dtype(np.uint8 if white < 256 else ">u2")
-        count = int(np.prod(shape))
+        count = math.prod(shape)
         if len(body) < count * stored.itemsize:
             raise InputError("truncated: the file ends before its pixels do")
         values = np.frombuffer(body, stored, count)
@@ -118,10 +119,10 @@ def _read_words(body: bytes, kind: bytes, shape: tuple[int, int, int]) -> NDArra
     """Values of an ASCII file; those of a PBM need no space between."""
     body = re.sub(rb"#[^\n]*", b"", body)
     words = re.findall(rb"[01]" if kind == b"P1" else rb"\d+", body)
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     if len(words) < count:
         raise InputError("truncated: the file ends before its pixels do")
-    return np.array(words[:count]).astype(np.int64)
+    return np.array([min(int(word[:6]), 2 * _MAX_VALUE) for word in words[:count]])
 
 
 def _read_bits(body: bytes, shape: tuple[int, int, int]) -> NDArray:
@@ -135,7 +136,7 @@ def _read_bits(body: bytes, shape: tuple[int, int, int]) -> NDArray:
 
 def _read_floats(body: bytes, shape: tuple[int, int, int], scale: float) -> NDArray:
     """Floats, whose scale is negative if their lowest byte comes first."""
-    count = int(np.prod(shape))
+    count = math.prod(shape)
     if len(body) < 4 * count:
         raise InputError("truncated: the file ends before its pixels do")
     values = np.frombuffer(body, "<f4" if scale < 0 else ">f4", count).astype(np.float32)

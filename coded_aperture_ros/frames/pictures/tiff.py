@@ -14,6 +14,8 @@ from coded_aperture_ros.core.errors import InputError
 
 # Tags of the TIFF 6.0 specification, and of its supplements.
 _SUBFILE_TYPE = 254
+_WIDTH = 256
+_HEIGHT = 257
 _BITS = 258
 _COMPRESSION = 259
 _PHOTOMETRIC = 262
@@ -34,7 +36,8 @@ _WHITE_IS_ZERO = 0
 _BLACK_IS_ZERO = 1
 _RGB = 2
 # Photometric interpretations that hold light: grey, RGB, palette, YCbCr, LogL and LogLuv.
-_LIGHT = (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, 3, 6, 32844, 32845)
+_YCBCR = 6
+_LIGHT = (_WHITE_IS_ZERO, _BLACK_IS_ZERO, _RGB, 3, _YCBCR, 32844, 32845)
 _SEPARATE_PLANES = 2
 _UNSIGNED = 1
 _FLOAT = 3
@@ -45,7 +48,10 @@ _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12
 _SIZES |= {16: 8, 17: 8, 18: 8}
 _LETTERS = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 13: "I", 16: "Q", 17: "q", 18: "Q"}
 _DAMAGED = "truncated, or its TIFF directory is damaged"
+_UNCOMPRESSED = 1
 _DEFLATE = (8, 32946)
+# More than any encoder reaches with a picture of one colour.
+_LARGEST_COMPRESSION = 20_000
 _MAX_PAGES = 100_000
 
 
@@ -206,9 +212,23 @@ def _check_extent(layout: _Layout, data: bytes, directory: _Directory) -> None:
         ends = map(sum, zip(starts, lengths, strict=True))
         if max(ends, default=0) > len(data):
             raise InputError("truncated: the file ends before its pixels do")
+        if lengths and sum(lengths) < _least_bytes(layout, directory):
+            raise InputError("truncated: there are fewer pixels than its size says")
         if layout.numbers(directory.get(_COMPRESSION), (1,))[0] in _DEFLATE:
             for start, count in zip(starts, lengths, strict=True):
                 _check_deflated(data[start : start + count])
+
+
+def _least_bytes(layout: _Layout, directory: _Directory) -> float:
+    """Number of bytes that pixels of the declared size take at least."""
+    first = {
+        tag: layout.numbers(directory.get(tag), (1,))[0]
+        for tag in (_WIDTH, _HEIGHT, _SAMPLES, _BITS, _COMPRESSION, _PHOTOMETRIC)
+    }
+    whole = first[_WIDTH] * first[_HEIGHT] * first[_SAMPLES] * first[_BITS] / 8
+    if first[_COMPRESSION] != _UNCOMPRESSED:
+        return whole / _LARGEST_COMPRESSION
+    return whole / 2 if first[_PHOTOMETRIC] == _YCBCR else whole  # with colours at half the size
 
 
 def _check_deflated(coded: bytes) -> None:
