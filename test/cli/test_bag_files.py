@@ -46,7 +46,8 @@ STORAGES = ("mcap", "sqlite3")
 
 def command(scene, source, target, *options):
     model = ("--bank", scene.bank, "--camera", scene.camera, "--deblur", "none")
-    return ("bag", source, "-o", target, *model, *options)
+    # Said, so that there is no hint.
+    return ("bag", source, "-o", target, *model, "--gamma", 1, *options)
 
 
 def cut(bag, share, folder=None):
