@@ -119,7 +119,7 @@ class McapFile:
         channels = self._descriptions.channels()
         known = counted is not None and counted[0] == len(self._chunks) and not self._gaps
         if counted is not None and known and channels.keys() >= counted[1].keys():
-            counts = Counter(counted[1])
+            counts |= Counter(counted[1])  # what is damaged was not counted there
         else:
             used = max(used, self._scan(counts))
             channels = self._descriptions.channels()
