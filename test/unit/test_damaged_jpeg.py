@@ -102,3 +102,19 @@ def test_what_is_no_baseline_or_progressive_picture_is_not_judged():
     for kind in (0xC3, 0xC9):
         assert not is_damaged_jpeg(data[: frame + 1] + bytes([kind]) + data[frame + 2 :])
     assert not is_damaged_jpeg(data[: frame + 4] + b"\x0c" + data[frame + 5 :])  # 12 bits
+
+
+def test_no_header_is_too_damaged():
+    """No traceback, and no memory for a size that is none."""
+    random = np.random.default_rng(7)
+    small = jpeg(PICTURE[:24, :32], 80)
+    kinds = [small, jpeg(PICTURE[:24, :32], 80, PROGRESSIVE, 1, RESTARTS, 2)]
+    for _ in range(2000):
+        data = bytearray(kinds[random.integers(2)])
+        for at in random.integers(2, start_of_scan(data) + 20, 3):
+            data[at] = random.choice([0, 1, 2, 255, random.integers(256)])
+        assert is_damaged_jpeg(bytes(data)) in (True, False)
+    frame = small.index(b"\xff\xc0")
+    assert is_damaged_jpeg(small[: frame + 5] + b"\xff\xff\xff\xff" + small[frame + 9 :])
+    scan = small.index(b"\xff\xda")
+    assert is_damaged_jpeg(small[: scan + 4] + b"\0" + small[scan + 5 :])

@@ -275,3 +275,26 @@ def test_animations_are_refused():
     for data in (b"GIF89a" + bytes(40), b"RIFF\0\0\0\0WEBPVP8X" + bytes(14) + b"ANIM" + bytes(20)):
         with pytest.raises(InputError, match="animation"):
             decode_picture(data)
+
+
+def test_no_directory_of_tiff_is_too_damaged():
+    """Refused or read, whatever its tags say."""
+    random = np.random.default_rng(5)
+    small = stored("uint16")[0][:12, :16]
+    planes = np.moveaxis(small, -1, 0).copy()
+    kinds = [
+        tiff(small, photometric="rgb"),
+        tiff(planes, photometric="rgb", planarconfig="separate"),
+        tiff(small[..., 0].copy(), compression="zlib", bigtiff=True),
+    ]
+    refused = 0
+    for _ in range(1500):
+        data = bytearray(kinds[random.integers(3)])
+        for at in random.integers(4, 260, 3):
+            data[at] = random.choice([0, 1, 2, 3, 255, random.integers(256)])
+        try:
+            assert decode_picture(bytes(data)).pixels.size
+        except InputError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert 300 < refused < 1450

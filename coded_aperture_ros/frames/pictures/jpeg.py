@@ -274,6 +274,8 @@ def _scan(frame: _Frame, header: bytes, components: list[_Component]) -> Scan:
     known = all(table >> 4 in _DC_TABLES and table & 15 in _DC_TABLES for table in tables)
     if not (known and first <= last < 64):
         raise ValueError("a scan of tables or coefficients that there are not")
+    if not order:
+        raise ValueError("a scan without blocks")
     codes = frame.codes if frame.progressive else _standard_tables() | frame.codes
     steps = [frame.steps[component.table] for component in components]
     return Scan(

@@ -177,7 +177,7 @@ def readable_tiff(data: bytes) -> ReadableTiff:
         return _rewritten(layout, data, directory)
     except InputError:
         raise
-    except (struct.error, ValueError, LookupError, OverflowError) as error:
+    except (struct.error, ValueError, LookupError, ArithmeticError) as error:
         raise InputError(_DAMAGED) from error
 
 
