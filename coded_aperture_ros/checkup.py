@@ -18,9 +18,9 @@ from coded_aperture_ros.pipeline import FramePipeline
 OK = "ok"
 WARNING = "warning"
 FAILED = "failed"
-# A hole with less blur, px, codes nothing; a larger Airy disc, px, hides it.
+# A hole with less blur, px, codes nothing. The mean over the depth range counts: at the end that is
+# nearer to the focus less is enough, because little blur is told from more by the whole mask.
 _MIN_HOLE_BLUR_PX = 0.5
-_MAX_AIRY_RADIUS_PX = 1.0
 _MIN_LEVELS = 2.0
 _FEW_LEVELS = 5.0
 _MIN_OPEN_FRACTION = 0.15
@@ -79,7 +79,7 @@ def _resolution(camera: Camera, setting: Setting, near_m: float, far_m: float) -
 
 
 def _blur(setting: Setting) -> Finding:
-    holes_px = min(setting.hole_blur_near_px, setting.hole_blur_far_px)
+    holes_px = setting.hole_blur_mean_px
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
     state = OK
     if not holes_px > _MIN_HOLE_BLUR_PX:
@@ -92,22 +92,22 @@ def _blur(setting: Setting) -> Finding:
         state,
         f"the mask blurs by {abs(setting.blur_size_near_px):.3g} px at the near end and "
         f"{abs(setting.blur_size_far_px):.3g} px at the far end, its smallest hole by "
-        f"{holes_px:.2g} px or more",
+        f"{holes_px:.2g} px in the mean",
         "" if state == OK else remedy,
         {"smallest_hole_px": holes_px},
     )
 
 
 def _diffraction(setting: Setting) -> Finding:
-    hidden = setting.airy_radius_px > _MAX_AIRY_RADIUS_PX
+    hidden = not setting.diffraction_is_negligible
     f_number = "" if setting.f_number is None else f"f/{setting.f_number:.2g} over the mask, "
     return Finding(
         "diffraction",
         WARNING if hidden else OK,
-        f"{f_number}the smallest hole of {setting.hole_width_mm:.2g} mm has an Airy disc of "
-        f"{setting.airy_radius_px:.2g} px radius",
+        f"{f_number}the smallest hole of {setting.hole_width_mm:.2g} mm has an Airy disc "
+        f"{setting.airy_width_px:.2g} px wide",
         f"use holes of {setting.diffraction_limit_mm:.2g} mm or more" if hidden else "",
-        {"airy_radius_px": setting.airy_radius_px, "f_number": setting.f_number},
+        {"airy_width_px": setting.airy_width_px, "f_number": setting.f_number},
     )
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import yaml
 
 from coded_aperture_ros.calibration.planes.field import FieldFit, fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
@@ -17,20 +18,23 @@ from coded_aperture_ros.cli.plane_pictures import PlanesArguments, check_size
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import needs
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.files import atomic_output, check_output
+from coded_aperture_ros.core.files import atomic_output, check_output, check_suffix
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank.field import COLUMNS, FieldPsfs
 from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.camera_file import camera_entries
 
 _EXAMPLES = """examples:
-    coded_aperture calibrate field planes --camera camera.yaml
-    coded_aperture calibrate field planes --camera camera.yaml --psfs --report lens.html
+    coded_aperture calibrate field planes --camera camera.yaml -o fitted.yaml
+    coded_aperture calibrate field planes --camera camera.yaml --psfs -o fitted.yaml
 
-Then: put what it prints into the camera file, and learn the bank again. Take 6 or more planes
+Then: learn the bank again, with the new camera file. Take 6 or more planes
 parallel to the sensor, with fine texture up to the corners, over the range of depth that matters;
 distances are from the entrance pupil of the lens.
 """
+# What a camera file gets of it.
+_FOUND = ("mask_extent_mm", "field_curvature", "wavefront")
 _FIGURES = ("depth_m", "found_m", "error_without", "error")
 
 
@@ -52,6 +56,9 @@ class Arguments(PlanesArguments):
         None,
         written="--report HTML",
     )
+    output: Path | None = argument(
+        "camera file to write: as it was, with what was found", None, written="-o --output YAML"
+    )
     json: bool = argument("print the numbers as JSON", False)
 
 
@@ -61,8 +68,10 @@ _RULES = (needs("--picture", "--psfs"),)
 def run(args: Arguments) -> int:
     """Run the action; return its exit status."""
     planes = load_planes(args.inputs, args.depths, args.gamma)
-    outputs = [Path(name) for name in (args.picture, args.report) if name is not None]
+    outputs = [Path(name) for name in (args.picture, args.report, args.output) if name is not None]
     check_output(outputs, [*map(Path, planes.names), *input_files(camera=args.camera)])
+    if args.output is not None:
+        check_suffix(args.output, [".yaml"])
     camera = load_camera(args.camera)
     check_size(args.camera, camera, planes)
     found = fit_field(camera, planes, progress)
@@ -82,6 +91,11 @@ def run(args: Arguments) -> int:
         }
         with atomic_output(args.report) as path:
             path.write_text(field_page(found, field_text(summary), pictures, misplaced), "utf-8")
+    if args.output is not None:
+        changed = {name: summary[name] for name in _FOUND if name in summary}
+        entries = {**camera_entries(args.camera), **changed}
+        with atomic_output(args.output) as path:
+            path.write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
     return print_summary(summary, field_text, as_json=args.json, warnings=misplaced)
 
 

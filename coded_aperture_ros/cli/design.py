@@ -120,8 +120,8 @@ def _warnings(args: Arguments, setting: Setting) -> list[str]:
     if not setting.diffraction_is_negligible:
         warnings.append(
             f"{args.camera}: the smallest hole, {setting.hole_width_mm:.2f} mm, is below the "
-            f"diffraction limit of {setting.diffraction_limit_mm:.2f} mm: the radius of its Airy "
-            f"disc is {setting.airy_radius_px:.1f} px; a larger mask has larger holes"
+            f"diffraction limit of {setting.diffraction_limit_mm:.2f} mm: its Airy disc is "
+            f"{setting.airy_width_px:.1f} px wide; a larger mask has larger holes"
         )
     if args.output is not None and not has_matplotlib():
         warnings.append(
@@ -172,8 +172,8 @@ def _table(summary: Summary, setting: Setting, best: Sequence[Setting]) -> str:
         _one("light", _light(setting)),
         _one(
             "smallest hole",
-            f"{setting.hole_width_mm:.2f} mm, Airy disc {setting.airy_radius_px:.2f} px "
-            f"(1 px at {setting.diffraction_limit_mm:.2f} mm)",
+            f"{setting.hole_width_mm:.2f} mm, Airy disc {setting.airy_width_px:.2f} px wide "
+            f"(2 px at {setting.diffraction_limit_mm:.2f} mm)",
         ),
     ]
     lines += [

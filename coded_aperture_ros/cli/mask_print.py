@@ -100,7 +100,9 @@ def run(args: Arguments) -> int:
     bar_mm = extent_mm * narrowest_bar(mask)
     for warning in _warnings(args, mask, openings, camera, hole_mm, bar_mm):
         logging.warning(warning)
-    airy_px = [round(airy_width_px(camera, one), 3) for one in openings.each] if camera else None
+    airy_px = (
+        [round(airy_width_px(camera, one.width), 3) for one in openings.each] if camera else None
+    )
     summary = {
         "output": args.output,
         "mask": mask.name,

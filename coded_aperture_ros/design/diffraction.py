@@ -1,15 +1,27 @@
 """Openings of a mask whose shape diffraction hides."""
 
-from coded_aperture_ros.design.openings import Opening, mask_openings
+from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.optics import Camera
 
 # Diameter of the Airy disc to its first dark ring, in wavelengths times the f-number.
-_AIRY_WIDTH = 2.44
+AIRY_WIDTH = 2.44
 
 
-def airy_width_px(camera: Camera, opening: Opening) -> float:
-    """Width of an opening's Airy disc on the sensor, between its first zeros, px."""
-    return _AIRY_WIDTH * camera.diffraction_px / opening.width
+def airy_width_px(camera: Camera, width: float, wavelength_nm: float = 0.0) -> float:
+    """Width of the Airy disc of a round opening on the sensor, between its first zeros, px.
+
+    It is twice the radius of thesis eq. 3.18, with the image distance for the focal length.
+
+    Parameters
+    ----------
+    camera : Camera
+    width : float
+        Of the opening, as a share of the mask's extent.
+    wavelength_nm : float, optional
+        By default the camera's.
+    """
+    diffraction_px = camera.diffraction_px * (wavelength_nm or camera.wavelength_nm)
+    return AIRY_WIDTH * diffraction_px / camera.wavelength_nm / width
 
 
 def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
@@ -19,13 +31,13 @@ def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
     """
     openings = sorted(mask_openings(camera.mask).each, key=lambda opening: opening.width)
     size = abs(blur_size_px)
-    hidden = [one for one in openings if airy_width_px(camera, one) > one.width * size]
+    hidden = [one for one in openings if airy_width_px(camera, one.width) > one.width * size]
     if not hidden:
         return ""
     first = hidden[0]
     extent_mm = camera.mask_extent_mm
     others = f" (and {len(hidden) - 1} of the {len(openings)} openings more)" if hidden[1:] else ""
-    airy_px = airy_width_px(camera, first)
+    airy_px = airy_width_px(camera, first.width)
     f_number = f", f/{camera.f_number:.1f}" if camera.f_number else ""
     return (
         f"mask {camera.mask.name}: the opening {first.width * extent_mm:.2g} mm wide, "

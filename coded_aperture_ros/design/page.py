@@ -47,7 +47,7 @@ def write_page(
         "hole_share": mask_openings(camera.mask).smallest_width,
         "open_fraction": camera.mask.open_fraction,
         "resolution_px": config.resolution_px,
-        "wavelength_nm": config.wavelength_nm,
+        "wavelength_nm": config.wavelength_nm or camera.wavelength_nm,
         "best": [dataclasses.asdict(setting) for setting in best],
     }
     template = files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")

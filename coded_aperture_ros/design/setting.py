@@ -9,11 +9,12 @@ from numpy.typing import ArrayLike
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
+from coded_aperture_ros.design.diffraction import airy_width_px
 from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.optics import Camera
 
-# First zero of the Airy pattern, in wavelengths times the f-number.
-_AIRY = 1.22
+# Wider Airy discs, px, are not negligible (eq. 3.20): their radius is more than a pixel.
+_NEGLIGIBLE_AIRY_PX = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -38,9 +39,11 @@ class DesignConfig:
         unit="px",
         within=(0.01, 100.0),
     )
-    # The longest wavelength of the thesis (eq. 3.21): red suffers most from diffraction.
     wavelength_nm: float = option(
-        750.0, "Longest wavelength of the light.", unit="nm", within=(200.0, 2000.0)
+        0.0,
+        "Wavelength of the light; 0: the camera file's. The thesis takes 750, the longest.",
+        unit="nm",
+        within=(0.0, 2000.0),
     )
     # Below this the cells of Levin's mask are a quarter of a pixel wide, and the code is lost.
     smallest_blur_px: float = option(
@@ -90,15 +93,13 @@ class Setting:
     # as much light; None if the focal length is not known.
     f_number: float | None
     f_number_of_light: float | None
-    # Radius of the smallest hole's Airy disc (eq. 3.18), with the image distance for the focal
-    # length. Above 1 px diffraction is not negligible (eq. 3.20).
-    airy_radius_px: float
-    diffraction_limit_mm: float  # hole width at which that is 1 px: twice the bound of eq. 3.21
+    airy_width_px: float  # of the smallest hole's Airy disc, between its first zeros
+    diffraction_limit_mm: float  # hole width at which that is 2 px: twice the bound of eq. 3.21
 
     @property
     def diffraction_is_negligible(self) -> bool:
-        """Whether the smallest hole's Airy disc has a radius of at most one pixel (eq. 3.20)."""
-        return self.airy_radius_px <= 1.0
+        """Whether the smallest hole's Airy disc is at most two pixels wide (eq. 3.20)."""
+        return self.airy_width_px <= _NEGLIGIBLE_AIRY_PX
 
 
 def design_setting(
@@ -145,7 +146,7 @@ def design_setting(
     hole_mm = share * camera.mask_extent_mm
     resolutions_m = resolution_m(camera, [near_m, far_m], config.resolution_px)
     f_number = camera.f_number
-    limit_mm = _AIRY * config.wavelength_nm * 1e-6 * camera.focal_length_px
+    airy_px = airy_width_px(camera, share, config.wavelength_nm)
     return Setting(
         focus_distance_m=camera.focus_distance_m,
         mask_extent_mm=camera.mask_extent_mm,
@@ -163,8 +164,8 @@ def design_setting(
         f_number=f_number,
         # The round aperture of the same area has the diameter M sqrt(4 l / pi).
         f_number_of_light=f_number and f_number / math.sqrt(4 * open_fraction / math.pi),
-        airy_radius_px=limit_mm / hole_mm,
-        diffraction_limit_mm=limit_mm,
+        airy_width_px=airy_px,
+        diffraction_limit_mm=airy_px / _NEGLIGIBLE_AIRY_PX * hole_mm,
     )
 
 

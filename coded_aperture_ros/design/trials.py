@@ -277,7 +277,7 @@ def _row(measured: Sequence[TrialResult]) -> dict[str, Any]:
         "opening_mm": round(extent_mm * openings.smallest_width, 3),
         "bar_mm": round(bar_mm, 3) if np.isfinite(bar_mm) else None,
         "loose_parts": openings.loose_parts,
-        "airy_px": round(max(airy_width_px(camera, one) for one in openings.each), 2),
+        "airy_px": round(max(airy_width_px(camera, one.width) for one in openings.each), 2),
         **{
             part: _pooled([one for one in measured if one.trial.part == part])
             for part in dict.fromkeys(one.trial.part for one in measured)

@@ -27,6 +27,9 @@ _IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 _LARGEST_ASPECT = 1.5
 # P may have another focal length than K, but not in another unit.
 _OTHER_UNIT = 10.0
+# A model for a part of a sensor has its principal point beside the picture, but in its unit; in
+# sides of the picture.
+_FARTHEST_CENTRE = 10.0
 # How far R may be from a rotation.
 _ROTATION_ERROR = 0.01
 _MATRICES = {"camera_matrix": (3, 3), "rectification_matrix": (3, 3), "projection_matrix": (3, 4)}
@@ -92,6 +95,24 @@ class Intrinsics:
             raise InputError("distortion_coefficients: expected finite numbers")
         object.__setattr__(self, "distortion_model", distortion_model(self.distortion_model, d))
 
+    def check_centre(self) -> None:
+        """Check the principal point of a model that somebody has measured.
+
+        That of a region, which is computed, may be anywhere.
+
+        Raises
+        ------
+        InputError
+            If it is at 0, where nobody has set it, or far outside the picture.
+        """
+        k = self.camera_matrix
+        for name, centre_px, length in (
+            ("cx", k[2], self.image_width),
+            ("cy", k[5], self.image_height),
+        ):
+            if centre_px == 0 or abs(centre_px) > _FARTHEST_CENTRE * length:
+                raise InputError(f"camera_matrix: {name} of {centre_px:g} in {length} px")
+
     def _check_matrices(self) -> None:
         """Raise `InputError` for values of finite matrices that no camera has."""
         k, p = self.camera_matrix, self.projection_matrix
@@ -101,11 +122,6 @@ class Intrinsics:
             raise InputError("camera_matrix: expected f 0 cx, 0 f cy, 0 0 1, row by row")
         if max(k[0] / k[4], k[4] / k[0]) > _LARGEST_ASPECT:
             raise InputError(f"camera_matrix: focal lengths of {k[0]:g} and {k[4]:g} px")
-        centre = ("cx", k[2], self.image_width), ("cy", k[5], self.image_height)
-        for name, centre_px, length in centre:
-            # A model for a part of a sensor may have its centre beside the picture.
-            if centre_px == 0 or not -length < centre_px < 2 * length:
-                raise InputError(f"camera_matrix: {name} of {centre_px:g} in {length} px")
         if not all(1 / _OTHER_UNIT < scaled < _OTHER_UNIT for scaled in (p[0] / k[0], p[5] / k[4])):
             raise InputError(
                 f"projection_matrix: focal lengths of {p[0]:g} and {p[5]:g} px, those of the "
@@ -233,7 +249,9 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
         values |= {
             k: _parse_matrix(k, content[k], *shape) for k, shape in shapes.items() if k in content
         }
-        return Intrinsics(**values)
+        model = Intrinsics(**values)
+        model.check_centre()
+        return model
 
 
 def _parse_matrix(key: str, entry: Any, rows: int, columns: int | None) -> tuple[float, ...]:

@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames import View
 from coded_aperture_ros.optics import Intrinsics, load_camera, load_intrinsics
 
 # As camera_calibration writes it.
@@ -54,6 +55,15 @@ def written(folder, values, name="info.yaml"):
     path = folder / name
     path.write_text(values if isinstance(values, str) else yaml.safe_dump(values))
     return path
+
+
+def test_a_region_may_have_its_centre_anywhere(tmp_path):
+    info = load_intrinsics(written(tmp_path, FROM_ROS))
+    centred = dataclasses.replace(info, camera_matrix=(400.0, 0, 320.0, 0, 400.0, 240.0, 0, 0, 1.0))
+    at_0 = centred.for_view(View(100, 80, 640, 480, 320, 240))
+    assert (at_0.camera_matrix[2], at_0.camera_matrix[5]) == (0, 0)
+    beside = centred.for_view(View(8, 8, 640, 480, 632, 472))
+    assert beside.camera_matrix[2] == -312
 
 
 def test_a_file_of_the_ros_tool_is_read(tmp_path):

@@ -54,18 +54,18 @@ def test_the_arm_of_the_teddy_bear_is_four_levels_away():
 def test_smallest_opening_of_the_thesis():
     """Eq. 3.21: 50 mm, 750 nm and pixels of 8.2 um need holes of 2.79 mm radius."""
     camera = thesis_camera(1e5, "near", pixel_pitch_um=8.2)
-    limit_mm = design_setting(camera, 6, 28).diffraction_limit_mm
+    limit_mm = design_setting(camera, 6, 28, DesignConfig(wavelength_nm=750)).diffraction_limit_mm
     assert limit_mm / 2 == pytest.approx(2.79, abs=0.005)
 
 
-def test_the_airy_disc_is_one_pixel_at_the_limit():
+def test_the_airy_disc_is_two_pixels_wide_at_the_limit():
     camera = thesis_camera()
     limit_mm = design_setting(camera, 6, 28).diffraction_limit_mm
     share = mask_openings(camera.mask).smallest_width
     for factor, negligible in ((1.01, True), (0.99, False)):
         changed = dataclasses.replace(camera, mask_extent_mm=factor * limit_mm / share)
         setting = design_setting(changed, 6, 28)
-        assert setting.airy_radius_px == pytest.approx(1 / factor)
+        assert setting.airy_width_px == pytest.approx(2 / factor)
         assert setting.diffraction_is_negligible == negligible
         assert setting.hole_width_mm == pytest.approx(factor * limit_mm)
 

@@ -235,7 +235,7 @@ def test_every_opening_has_its_place_and_its_airy_width():
     # 2.44 wavelengths times the f-number of the opening, in pixels.
     for opening, width_mm in ((large, 8), (small, 2)):
         by_hand = 2.44 * 0.55e-3 * 1200 / width_mm
-        assert airy_width_px(camera, opening) == pytest.approx(by_hand)
+        assert airy_width_px(camera, opening.width) == pytest.approx(by_hand)
     # 2 mm blur by 10 px of 34 mm to 0.59 px; the Airy disc has 0.81 px.
     warning = diffraction_warning(camera, 10.0)
     assert warning.startswith("mask two: the opening 2 mm wide, +0.0 mm right and +16.0 mm below")

@@ -24,6 +24,7 @@ from coded_aperture_ros.optics import (
     FieldCurvature,
     Mask,
     camera_from_mapping,
+    load_camera,
     render_psf_stack,
 )
 from coded_aperture_ros.simulation.render import render_coded_frame
@@ -150,7 +151,12 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     assert float(found) == pytest.approx(1.9, rel=0.02)
     # What it prints is what the camera file takes; the page says it, too, and where planes tell.
     report = tmp_path / "lens.html"
-    printed = yaml.safe_load(call(capsys, *arguments, "--report", report).out)
+    fitted = tmp_path / "fitted.yaml"
+    result = call(capsys, *arguments, "--report", report, "--output", fitted)
+    printed = yaml.safe_load(result.out)
+    assert yaml.safe_load(fitted.read_text()) == {**STRAIGHT_FILE, **printed}
+    assert load_camera(fitted).field_curvature is not None
+    refused(call(capsys, *arguments, "-o", tmp_path / "fitted.json"), "fitted.json", ".yaml")
     page = report.read_text()
     assert f"field_curvature: {printed['field_curvature']}" in page
     assert "3.png: at 2.1 m, but blurred as at" in page

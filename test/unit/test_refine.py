@@ -241,6 +241,9 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
     def with_sizes(sizes_px):
         return dataclasses.replace(bank, stack=render_psf_stack(camera.mask, sizes_px))
 
+    for levels in (21, 11, 6):  # steps of 0.8 px, to rounding
+        even = with_sizes(np.linspace(2, 2 + 0.8 * (levels - 1), levels))
+        assert "px apart" not in unsupported_reason(even, 8)
     coarse = with_sizes(np.append(np.linspace(2, 9, bank.levels - 1), 10))
     assert "up to 1 px apart" in unsupported_reason(coarse, 8)
     wide = with_sizes(np.linspace(4, 30, bank.levels))

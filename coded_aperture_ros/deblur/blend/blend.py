@@ -41,7 +41,8 @@ def unsupported_reason(stack: PsfStack) -> str:
     """Why PSFs are not such as the network was trained for; empty if they are."""
     if not stack.in_pixels:
         return "the blur sizes of its PSFs are not known in pixels"
-    largest = float(np.abs(stack.blur_sizes_px).max())
+    # To rounding: sizes are often the sums of steps.
+    largest = round(float(np.abs(stack.blur_sizes_px).max()), 6)
     return f"its blur of {largest:.3g} px is above {_MAX_TRAINED_BLUR_PX:g} px" * (
         largest > _MAX_TRAINED_BLUR_PX
     )

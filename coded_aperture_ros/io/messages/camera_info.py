@@ -131,7 +131,7 @@ def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
     InputError
         If it has a value that no camera can have.
     """
-    return Intrinsics(
+    model = Intrinsics(
         image_width=int(info.width),
         image_height=int(info.height),
         camera_matrix=tuple(map(float, info.k)),
@@ -141,6 +141,8 @@ def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
         projection_matrix=tuple(map(float, info.p)) if any(info.p) else (),
         camera_name=camera_name,
     )
+    model.check_centre()
+    return model
 
 
 def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:

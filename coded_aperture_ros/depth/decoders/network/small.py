@@ -73,6 +73,8 @@ def _nearest_patches(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:
 _WINDOWS_PX = (32, 72)
 _STRIDES_PX = (4, 12)
 _LARGEST_STEP_PX = 0.8
+# Differences of sizes in steps of 0.8 px may be a little more.
+_ROUNDING_PX = 1e-6
 _LEAST_SPAN_PX = 3.0
 
 
@@ -105,13 +107,13 @@ def _unsupported_blur(bank: FilterBank) -> str:
         return "the blur sizes of its PSFs are not known in pixels"
     sizes_px = np.abs(stack.blur_sizes_px)
     largest = float(sizes_px.max())
-    if largest > LARGEST_PX:
+    if largest > LARGEST_PX + _ROUNDING_PX:
         return f"its blur of {largest:.3g} px is above {LARGEST_PX:g} px"
     step = float(np.abs(np.diff(stack.blur_sizes_px)).max())
-    if step > _LARGEST_STEP_PX:
+    if step > _LARGEST_STEP_PX + _ROUNDING_PX:
         return f"its levels are up to {step:.3g} px apart, more than {_LARGEST_STEP_PX:g} px"
     span = float(np.ptp(sizes_px))
-    if span < _LEAST_SPAN_PX:
+    if span < _LEAST_SPAN_PX - _ROUNDING_PX:
         return f"its blur sizes span {span:.3g} px, less than {_LEAST_SPAN_PX:g} px"
     if stack.psfs.shape[-1] > SMALL_PX:
         return f"its PSFs of {stack.psfs.shape[-1]} px do not fit patches of {SMALL_PX} px"
