@@ -95,17 +95,18 @@ class Intrinsics:
             raise InputError("distortion_coefficients: expected finite numbers")
         object.__setattr__(self, "distortion_model", distortion_model(self.distortion_model, d))
 
-    def check_centre(self) -> None:
-        """Check the principal point of a model that somebody has measured.
-
-        That of a region, which is computed, may be anywhere.
+    def check_measured(self) -> None:
+        """Check a model that somebody has measured; one of a region, or resized, is computed.
 
         Raises
         ------
         InputError
-            If it is at 0, where nobody has set it, or far outside the picture.
+            If the principal point is at 0, where nobody has set it, or far outside the picture, or
+            the two focal lengths are of different pixels.
         """
         k = self.camera_matrix
+        if max(k[0] / k[4], k[4] / k[0]) > _LARGEST_ASPECT:
+            raise InputError(f"camera_matrix: focal lengths of {k[0]:g} and {k[4]:g} px")
         for name, centre_px, length in (
             ("cx", k[2], self.image_width),
             ("cy", k[5], self.image_height),
@@ -120,8 +121,6 @@ class Intrinsics:
             raise InputError("camera_matrix: the focal lengths have to be more than 0 px")
         if k[3] or k[6] or k[7] or k[8] != 1:
             raise InputError("camera_matrix: expected f 0 cx, 0 f cy, 0 0 1, row by row")
-        if max(k[0] / k[4], k[4] / k[0]) > _LARGEST_ASPECT:
-            raise InputError(f"camera_matrix: focal lengths of {k[0]:g} and {k[4]:g} px")
         if not all(1 / _OTHER_UNIT < scaled < _OTHER_UNIT for scaled in (p[0] / k[0], p[5] / k[4])):
             raise InputError(
                 f"projection_matrix: focal lengths of {p[0]:g} and {p[5]:g} px, those of the "
@@ -250,7 +249,7 @@ def load_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
             k: _parse_matrix(k, content[k], *shape) for k, shape in shapes.items() if k in content
         }
         model = Intrinsics(**values)
-        model.check_centre()
+        model.check_measured()
         return model
 
 

@@ -141,7 +141,7 @@ def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
         projection_matrix=tuple(map(float, info.p)) if any(info.p) else (),
         camera_name=camera_name,
     )
-    model.check_centre()
+    model.check_measured()
     return model
 
 
