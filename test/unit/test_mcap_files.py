@@ -150,6 +150,8 @@ def facts(path):
         attachments = list(reader.iter_attachments())
         metadata = [each for each in reader.iter_metadata() if each.name != "rosbag2"]
         statistics = reader.get_summary().statistics
+        assert statistics.message_count == len(messages)
+        assert set(statistics.channel_message_counts.values()) == {COUNT}
         counts = statistics.attachment_count, statistics.metadata_count - len(metadata)
         return messages, attachments, metadata, counts
 
@@ -206,6 +208,11 @@ def shorter_length(data, start):
     data[start + 1 : start + 3] = b"\x05\x01"
 
 
+def longer_length(data, start):
+    """It ends in the middle of the chunk after the next one."""
+    data[start + 1 : start + 9] = struct.pack("<Q", 50_000)
+
+
 def lost_kind(data, start):
     data[start] = 0x30
 
@@ -218,7 +225,15 @@ def lost_begin(data, start):
     data[: start + 100] = bytes(start + 100)
 
 
-DAMAGES = (damaged_pixels, damaged_header, damaged_length, shorter_length, lost_kind, lost_sector)
+DAMAGES = (
+    damaged_pixels,
+    damaged_header,
+    damaged_length,
+    shorter_length,
+    longer_length,
+    lost_kind,
+    lost_sector,
+)
 
 
 @pytest.mark.parametrize("compression", COMPRESSIONS)
