@@ -102,7 +102,8 @@ class McapFile:
         begins_well = mcap.begins_well(self._file)
         used = position = len(mcap.MAGIC) if begins_well else 0
         for record in mcap.records(self._file, position, size):
-            self._gaps += record.start - mcap.RECORD.size - position
+            # Less than 0 where a length was wrong, and leads beyond the next record.
+            self._gaps += abs(record.start - mcap.RECORD.size - position)
             position = record.end
             if record.kind == mcap.FOOTER:
                 used = size

@@ -172,7 +172,8 @@ def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryv
     try:
         _, _, size, checksum = _CHUNK_HEADER.unpack(body.read(_CHUNK_HEADER.size))
         compression = read_string(body)
-        raw = content[body.tell() + 8 :]
+        (packed,) = struct.unpack("<Q", body.read(8))
+        raw = content[body.tell() : body.tell() + packed]
     except DAMAGE:
         return [], len(content)
     try:

@@ -253,7 +253,9 @@ def test_what_is_behind_a_damaged_chunk_is_read(tmp_path, compression, damage, n
     path.write_bytes(data)
     found, words = opened(path, "/image_raw")
     assert set(found) <= set(DATA)
-    assert [each for each in DATA if each not in found] == [DATA[number]]
+    # Where only the record's length is wrong, the chunk says its own.
+    lost = [] if damage is longer_length else [DATA[number]]
+    assert [each for each in DATA if each not in found] == lost
     assert found == [each for each in DATA if each in found]
     assert "a.mcap" in words and "damaged" in words
     assert "cut off" not in words
