@@ -76,7 +76,7 @@ def html_page(title: str, parts: Iterable[str]) -> str:
 
 def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
     if results["damage"]:
-        yield f"The bag was processed up to where it ends too early: {results['damage']}."
+        yield f"The bag was read as far as it can be: {results['damage']}."
     if results["left_out"]:
         yield f"Not in the new bag: {', '.join(results['left_out'])}."
     for reason, count in results["camera_info"].items():

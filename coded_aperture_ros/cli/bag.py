@@ -171,7 +171,7 @@ def _new_pipeline(args: Arguments, camera: Camera) -> FramePipeline:
 def _warnings(source: Path, results: Summary) -> Iterator[str]:
     """Lines about a bag whose results are not as good as they might be."""
     if results["damage"]:
-        yield f"{source}: processed up to the damage: {results['damage']}"
+        yield f"{source}: read as far as it can be: {results['damage']}"
     if results["left_out"]:
         yield f"{source}: left out of the new bag: {', '.join(results['left_out'])}"
     for reason, count in results["camera_info"].items():

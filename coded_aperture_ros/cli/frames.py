@@ -233,7 +233,7 @@ def _captures(
             name = given if alone else f"{given}, frame {capture.name}"
             yield given, name, capture, video
         if source.damage:
-            logging.warning(f"{given}: read up to the damage: {source.damage}")
+            logging.warning(f"{given}: read as far as it can be: {source.damage}")
 
 
 def decode(capture: Capture, args: PixelArguments, camera: Camera | None = None) -> Frame:
