@@ -16,15 +16,9 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.deblur import AnyDeblurrer, DeblurConfig, Uncertainty, make_deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
-from coded_aperture_ros.depth import (
-    DepthConfig,
-    DepthEstimate,
-    DepthEstimator,
-    blur_sizes_px,
-    estimate_video,
-)
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.levels import check_camera
-from coded_aperture_ros.depth.range_check import check_depth_range
+from coded_aperture_ros.depth.range_check import checked_blur_sizes_px
 from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
 from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -225,15 +219,7 @@ class FramePipeline:
         if isinstance(depth, DepthEstimate):
             return depth.blur_size_px
         self._show(frame)
-        sizes = blur_sizes_px(self.model, self._view_camera, depth)
-        if sizes is None:
-            raise InputError(
-                "depth: neither the bank nor a camera says what blur a depth has: give the camera"
-            )
-        if not np.isfinite(sizes).any():
-            raise InputError("depth: no depth is known in the whole frame")
-        check_depth_range(self.model, self._view_camera, depth)
-        return sizes
+        return checked_blur_sizes_px(self.model, self._view_camera, depth)
 
     def uncertainty(
         self, frame: Frame, sharp: FloatArray, depth: DepthEstimate | FloatArray

@@ -16,12 +16,12 @@ import numpy as np
 from coded_aperture_ros.cli.command import Command, UsageError
 from coded_aperture_ros.cli.depth_arguments import EXAMPLES, RULES, Arguments, layers_text
 from coded_aperture_ros.cli.depth_pictures import (
+    comparison_file,
     depth_scale,
     frame_beside_depth,
     picture_files,
     write_pictures,
 )
-from coded_aperture_ros.cli.depth_truth import TrueDepth, comparison_file, truth_text
 from coded_aperture_ros.cli.depth_video import look_ahead, with_second_focus
 from coded_aperture_ros.cli.estimation import (
     estimates_motion,
@@ -82,6 +82,8 @@ def run(args: Arguments) -> int:
     )
     truth = None
     if args.truth:
+        from coded_aperture_ros.cli.depth_truth import TrueDepth
+
         truth = TrueDepth.from_file(args.truth, depth_range_m(pipeline.model, pipeline.camera))
     skipped = SkippedInputs()
     outputs = Outputs(
@@ -290,6 +292,8 @@ def _text(summary: dict[str, Any]) -> str:
         if summary["searched"] not in ("", _NOT_ASKED):
             found += f" (all motions tried: {summary['searched']})"
     if "truth" in summary:
+        from coded_aperture_ros.cli.depth_truth import truth_text
+
         found += f"; {truth_text(summary['truth'])}"
     if summary["cause"]:
         found += f"; {Health(summary['health'], summary['cause'])}"

@@ -43,6 +43,11 @@ def picture_files(path: Path) -> tuple[Path, Path]:
     return display_path(path), display_path(path.with_suffix(".confidence.npy"))
 
 
+def comparison_file(path: Path) -> Path:
+    """File of the comparison of a depth map with the truth."""
+    return path.with_suffix(".comparison.png")
+
+
 def write_pictures(
     path: Path, values: FloatArray, confidence: FloatArray, scale: Scale | tuple[()] = ()
 ) -> None:

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.cli.depth_pictures import comparison_file
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.text import rounded
@@ -27,12 +28,6 @@ from coded_aperture_ros.metrics.errors import RelativeError
 
 # Where the scale of relative errors ends.
 _LARGEST_ERROR = 0.1
-_SUFFIX = ".comparison.png"
-
-
-def comparison_file(path: Path) -> Path:
-    """File of the comparison beside a depth map."""
-    return path.with_suffix(_SUFFIX)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -29,10 +29,6 @@ class GammaArguments:
         parse=read_gamma,
     )
 
-    def __post_init__(self) -> None:
-        if isinstance(self.gamma, AssumedGamma):  # told once for each command, not each process
-            object.__setattr__(self, "gamma", AssumedGamma(self.gamma))
-
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class BitsArguments(GammaArguments):

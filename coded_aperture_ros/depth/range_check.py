@@ -4,7 +4,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.levels import depths_are_measured
+from coded_aperture_ros.depth.levels import blur_sizes_px, depths_are_measured
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera
 
@@ -78,6 +78,27 @@ def check_depth_range(model: BlurLevels, camera: Camera | None, depth_m: FloatAr
     complaint = "" if range_m is None else range_complaint(depth_m, range_m)
     if complaint:
         raise InputError(f"depth: {complaint}")
+
+
+def checked_blur_sizes_px(
+    model: BlurLevels, camera: Camera | None, depth_m: FloatArray
+) -> FloatArray:
+    """Signed blur size [px] of every pixel of a depth map; see `blur_sizes_px`.
+
+    Raises
+    ------
+    InputError
+        If no depth is known, or what blur it has, or hardly any is one of the model's levels.
+    """
+    sizes_px = blur_sizes_px(model, camera, depth_m)
+    if sizes_px is None:
+        raise InputError(
+            "depth: neither the bank nor a camera says what blur a depth has: give the camera"
+        )
+    if not np.isfinite(sizes_px).any():
+        raise InputError("depth: no depth is known in the whole frame")
+    check_depth_range(model, camera, depth_m)
+    return sizes_px
 
 
 def _share_within(depth_m: FloatArray, range_m: tuple[float, float]) -> float:

@@ -21,7 +21,7 @@ _FAR_ABOVE_WHITE = 2.0
 
 
 class AssumedGamma(float):
-    """Gamma that nobody has stated; its first use for 8-bit pictures is logged.
+    """Gamma that nobody has stated; its first use for 8-bit pictures in a process is logged.
 
     Pictures of ordinary cameras, taken for linear light, give wrong depth that looks right.
 

@@ -20,7 +20,7 @@ from coded_aperture_ros.optics.camera_file import camera_from_mapping
 MOST_LIBRARY_FILES = 65
 MOST_LIBRARY_LINES = 5400
 MOST_COMMAND_FILES = 7
-MOST_COMMAND_LINES = 900
+MOST_COMMAND_LINES = 960
 
 
 @pytest.fixture(scope="module")
