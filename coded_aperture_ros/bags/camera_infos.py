@@ -1,6 +1,5 @@
 """The camera model that belongs to each frame of a bag."""
 
-import struct
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
@@ -63,7 +62,7 @@ def with_infos(
         size -= len(message.data)
         is_frame = message.topic == image_topic
         frames -= is_frame
-        found = infos.at(_stamp_ns(message.data) if is_frame else 0)
+        found = infos.at(message.stamp_ns if is_frame else 0)
         return message, first if found is None else found
 
     for message in messages:
@@ -76,18 +75,10 @@ def with_infos(
         while waiting and (
             info_topic is None
             or waiting[0].topic != image_topic
-            or infos.has(_stamp_ns(waiting[0].data))
+            or infos.has(waiting[0].stamp_ns)
             or frames > _WAITING_FRAMES
             or size > _WAITING_BYTES
         ):
             yield next_one()
     while waiting:
         yield next_one()
-
-
-def _stamp_ns(data: bytes) -> int:
-    """Stamp of a message (CDR) that begins with a header, ns; 0 if it is too short."""
-    if len(data) < 12:
-        return 0
-    seconds, nanoseconds = struct.unpack_from("<iI" if data[1] % 2 else ">iI", data, 4)
-    return int(seconds * 1_000_000_000 + nanoseconds)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ SUFFIXES = {".mcap": "mcap", ".db3": "sqlite3"}
 # Behind them, of a file that was compressed as a whole.
 PACKED = ".zstd"
 METADATA = "metadata.yaml"
+# Where CDR has seconds and nanoseconds of a header, bytes.
+_STAMP_START, _STAMP_END = 4, 12
 
 
 def storage_of(name: str) -> str | None:
@@ -104,6 +107,15 @@ class BagMessage:
     topic: str
     time_ns: int
     data: bytes
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of a message that begins with a header, ns; 0 if it is too short."""
+        if len(self.data) < _STAMP_END:
+            return 0
+        layout = "<iI" if self.data[1] & 1 else ">iI"
+        seconds, nanoseconds = struct.unpack_from(layout, self.data, _STAMP_START)
+        return int(seconds) * 10**9 + int(nanoseconds)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -5,7 +5,6 @@ are paired by the time of recording; that is a worse clock, because messages arr
 """
 
 import dataclasses
-import struct
 from collections.abc import Iterable
 
 import numpy as np
@@ -18,8 +17,6 @@ from coded_aperture_ros.core.arrays import BoolArray
 TOLERANCE_NS = 20_000_000
 # Pairs recorded farther apart, ns, may be of two clocks whose stamps overlap by chance.
 _DOUBTFUL_NS = 1_000_000_000
-# Where CDR has seconds and nanoseconds of a header, which images begin with.
-_STAMP_BYTES = slice(4, 12)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -37,7 +34,7 @@ class MessageTimes:
     @classmethod
     def of_images(cls, messages: Iterable[BagMessage]) -> "MessageTimes":
         """Times of image messages; a stamp is 0 where there is none."""
-        times = [(_stamp_ns(message.data), message.time_ns) for message in messages]
+        times = [(message.stamp_ns, message.time_ns) for message in messages]
         stamps, recorded = np.array(times, np.int64).reshape(-1, 2).T
         return cls(stamps, recorded)
 
@@ -92,15 +89,6 @@ def pair_messages(frames: MessageTimes, references: MessageTimes) -> dict[int, P
     # A frame with a stamp may belong to a reference without one.
     stamped = by_recording(frame_stamped, ~reference_stamped)
     return {**unstamped, **stamped, **by_stamp}
-
-
-def _stamp_ns(data: bytes) -> int:
-    """Stamp of a serialised message that begins with a header; 0 if it is too short."""
-    stamp = bytes(data[_STAMP_BYTES])
-    if len(stamp) < _STAMP_BYTES.stop - _STAMP_BYTES.start:
-        return 0
-    seconds, nanoseconds = struct.unpack("<iI" if data[1] & 1 else ">iI", stamp)
-    return int(seconds) * 10**9 + int(nanoseconds)
 
 
 def _once(times_ns: NDArray[np.int64]) -> BoolArray:
