@@ -17,6 +17,7 @@ from coded_aperture_ros.cli.rules import needs, only_with
 from coded_aperture_ros.cli.stereo_output import StereoArguments, StereoOutput
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.files import output_set
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px, check_depth_range
@@ -144,13 +145,14 @@ def run(args: Arguments) -> int:
         except InputError as error:
             skipped.note(error)
             continue
-        write_image(named.output, sharp, **encoding)
-        if for_display:
-            write_light_for_display(named.output, sharp)
         summary: dict[str, Any] = {"output": str(named.output), "seconds": round(seconds, 3)}
-        if found is not None:
-            summary |= _write_uncertainty(found, named.output)
-        summary |= stereo.write(named.output, sharp, blur_size_px)
+        with output_set():
+            write_image(named.output, sharp, **encoding)
+            if for_display:
+                write_light_for_display(named.output, sharp)
+            if found is not None:
+                summary |= _write_uncertainty(found, named.output)
+            summary |= stereo.write(named.output, sharp, blur_size_px)
         summaries.append(summary)
         if not args.json:
             print(f"{named.output}: deblurred in {seconds:.2f} s")

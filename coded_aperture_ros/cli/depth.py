@@ -38,7 +38,7 @@ from coded_aperture_ros.cli.frames import (
 )
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import check_output
+from coded_aperture_ros.core.files import check_output, output_set
 from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.depth import DepthEstimate, Health, LayerSpec, depth_range_m, layer_specs
 from coded_aperture_ros.depth.points import points_of_frame
@@ -96,19 +96,14 @@ def run(args: Arguments) -> int:
         frames = named_frames(args, outputs, skipped, camera)
         for named, estimate, seconds in _estimates(args, pipeline, camera, frames, skipped):
             values = _depth_values(args, estimate)
-            _write(args, named.output, estimate, values)
             if args.pictures or add_to_movie is not None:
                 scale = depth_scale(pipeline.estimator, as_levels=args.as_levels)
-            if args.pictures:
-                # Depths of each frame have a scale of their own, which shows more.
-                ends = scale if args.as_levels else ()
-                write_pictures(named.output, values, estimate.confidence, ends)
-            elif named.output.suffix.lower() == ".png":  # in mm, which viewers show black
-                write_depth_for_display(named.output, values)
-            if args.points and camera is not None and named.capture is not None:
-                light, model = named.frame.picture, named.capture.intrinsics(camera)
-                points = points_of_frame(estimate, light, model, args.gamma)
-                write_points(named.output.with_suffix(".ply"), points)
+            with output_set():
+                _write(args, named, estimate, values, camera)
+                if args.pictures:
+                    # Depths of each frame have a scale of their own, which shows more.
+                    ends = scale if args.as_levels else ()
+                    write_pictures(named.output, values, estimate.confidence, ends)
             if add_to_movie is not None:
                 add_to_movie(frame_beside_depth(named.frame.picture, values, scale))
             summary = _summary(args, named, estimate, values, seconds)
@@ -236,8 +231,15 @@ def _files_beside(args: Arguments, path: Path) -> list[Path]:
     return files
 
 
-def _write(args: Arguments, path: Path, estimate: DepthEstimate, values: FloatArray) -> None:
+def _write(
+    args: Arguments,
+    named: NamedFrame,
+    estimate: DepthEstimate,
+    values: FloatArray,
+    camera: Camera | None,
+) -> None:
     """Write a depth map, and beside it everything else that was found."""
+    path = named.output
     write_depth(path, values)
     write_depth(_file_beside(path, "confidence"), estimate.confidence)
     if estimate.std_dev_m is not None and not args.as_levels:
@@ -245,6 +247,11 @@ def _write(args: Arguments, path: Path, estimate: DepthEstimate, values: FloatAr
     for name, file in _layer_files(args, path).items():
         if name in estimate.layers:
             write_depth(file, estimate.layers[name].values)
+    if path.suffix.lower() == ".png" and not args.pictures:  # in mm, which viewers show black
+        write_depth_for_display(path, values)
+    if args.points and camera is not None and named.capture is not None:
+        light, model = named.frame.picture, named.capture.intrinsics(camera)
+        write_points(path.with_suffix(".ply"), points_of_frame(estimate, light, model, args.gamma))
 
 
 def _summary(

@@ -16,7 +16,7 @@ from coded_aperture_ros.cli.results import input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, only_with, required
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import naming
-from coded_aperture_ros.core.files import atomic_output, check_output, check_suffix
+from coded_aperture_ros.core.files import atomic_output, check_output, check_suffix, output_set
 from coded_aperture_ros.design.diffraction import diffraction_warning
 from coded_aperture_ros.frames import View
 from coded_aperture_ros.io import PICTURE_SUFFIXES, read_depth, read_image, write_depth, write_image
@@ -120,13 +120,14 @@ def _render_random_scene(args: Arguments, number: int) -> int:
     coded = scene.coded()
     depth_m = scene.depth_m()
     seconds = time.perf_counter() - start
-    _write_coded(args, coded)
     sharp = scene.all_in_focus()
-    write_image(beside["all_in_focus"], sharp)
-    write_light_for_display(beside["all_in_focus"], sharp)
-    write_depth(beside["depth"], depth_m)
-    with atomic_output(beside["camera"]) as path:
-        path.write_text(_camera_text(scene.camera, mask))
+    with output_set():
+        _write_coded(args, coded)
+        write_image(beside["all_in_focus"], sharp)
+        write_light_for_display(beside["all_in_focus"], sharp)
+        write_depth(beside["depth"], depth_m)
+        with atomic_output(beside["camera"]) as path:
+            path.write_text(_camera_text(scene.camera, mask))
     more: dict[str, Any] = {name: str(path) for name, path in beside.items()}
     more["depth_near_m"] = round(float(depth_m.min()), 3)
     more["depth_far_m"] = round(float(depth_m.max()), 3)
@@ -181,8 +182,9 @@ def _write_coded(args: Arguments, coded: FloatArray) -> None:
     """Write the frame as the sensor reads it out."""
     sensor = SensorModel(args.noise, args.bits)
     exposed = sensor.expose(coded, np.random.default_rng(args.seed))
-    write_image(args.output, exposed)
-    write_light_for_display(args.output, exposed)
+    with output_set():
+        write_image(args.output, exposed)
+        write_light_for_display(args.output, exposed)
 
 
 def _print(

@@ -1,13 +1,19 @@
 """Output files: written whole or not at all, and checked before long work."""
 
+import errno
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
+
+# Files of the set that is being written, with what renames them; see `output_set`.
+_set: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("output_set", default=None)
 
 
 @contextmanager
@@ -15,7 +21,8 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Temporary path beside `path`, which is renamed to `path` if the block succeeds.
 
     The block must write to the temporary path. Its name keeps the suffix, because encoders choose
-    their format by it. Missing parent folders of `path` are created.
+    their format by it. Missing parent folders of `path` are created. A file that was there before
+    leaves its permissions to the new one. The content is on the disk before the name is.
 
     Raises
     ------
@@ -33,23 +40,84 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     'all of it'
     """
     target = Path(path)
+    renamed_later = _set.get()
+    temporary = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            dir=target.parent, prefix=f".{target.stem}-", suffix=target.suffix
-        )
-    except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
+        temporary = _new_file(target)
         yield temporary
-        _apply_umask(temporary)
-        temporary.replace(target)
+        with suppress(FileNotFoundError):
+            temporary.chmod(target.stat().st_mode & 0o7777)
+        _flush(temporary)
+        if renamed_later is None:
+            temporary.replace(target)
+            _flush(target.parent)
+        else:
+            renamed_later.append((temporary, target))
     except OSError as error:
-        raise InputError(f"cannot write {target}: {error.strerror or error}") from error
+        raise InputError(f"cannot write {target}: {_reason(error)}") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        is_kept = renamed_later is not None and (temporary, target) in renamed_later
+        if temporary is not None and not is_kept:
+            temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def output_set() -> Iterator[None]:
+    """Let all files that `atomic_output` writes in the block appear at its end, or none of them.
+
+    Sets may be within each other: the outermost counts.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder, output_set():
+    ...     with atomic_output(Path(folder) / "a.txt") as temporary:
+    ...         _ = temporary.write_text("a")
+    ...     (Path(folder) / "a.txt").exists()
+    False
+    """
+    if _set.get() is not None:
+        yield
+        return
+    files: list[tuple[Path, Path]] = []
+    token = _set.set(files)
+    try:
+        yield
+        for temporary, target in files:
+            try:
+                temporary.replace(target)
+            except OSError as error:
+                raise InputError(f"cannot write {target}: {_reason(error)}") from error
+        for folder in {target.parent for _, target in files}:
+            _flush(folder)
+    finally:
+        _set.reset(token)
+        for temporary, _ in files:
+            temporary.unlink(missing_ok=True)
+
+
+def _new_file(target: Path) -> Path:
+    """Empty file beside a target."""
+    while True:
+        temporary = target.parent / f".{target.stem}-{secrets.token_hex(4)}{target.suffix}"
+        with suppress(FileExistsError):
+            os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            return temporary
+
+
+def _flush(path: Path) -> None:
+    """Write a file, or the names in a folder, to the disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _reason(error: OSError) -> str:
+    # NumPy says how many bytes it has written, and nothing else.
+    return error.strerror or os.strerror(errno.ENOSPC if "requested" in str(error) else errno.EIO)
 
 
 @contextmanager
@@ -64,7 +132,7 @@ def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
     InputError
         As `atomic_output` does.
     """
-    with ExitStack() as files:
+    with output_set(), ExitStack() as files:
         yield lambda path: files.enter_context(atomic_output(path))
 
 
@@ -84,13 +152,6 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             for parent in created:
                 with suppress(OSError):
                     parent.rmdir()
-
-
-def _apply_umask(path: Path) -> None:
-    """Give a file, which mkstemp makes private, the permissions of any new file."""
-    umask = os.umask(0)
-    os.umask(umask)
-    path.chmod(0o666 & ~umask)
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
