@@ -16,7 +16,7 @@ from coded_aperture_ros.core.arrays import BoolArray
 # A reference this far from a frame, ns, is of the same time.
 TOLERANCE_NS = 20_000_000
 # Pairs recorded farther apart, ns, may be of two clocks whose stamps overlap by chance.
-_DOUBTFUL_NS = 1_000_000_000
+DOUBTFUL_NS = 1_000_000_000
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,4 +127,4 @@ def _contradicts(pairs: dict[int, Pair], frames: MessageTimes, references: Messa
     steps = np.sign(np.diff(recorded_ns)) * np.sign(np.diff(partners_ns))
     if np.sum(steps < 0) > np.sum(steps > 0):
         return True
-    return bool(abs(np.median(partners_ns - recorded_ns)) > _DOUBTFUL_NS)
+    return bool(abs(np.median(partners_ns - recorded_ns)) > DOUBTFUL_NS)
