@@ -26,12 +26,12 @@ def stamped(data, stamp_ns):
     return bytes(data)
 
 
-def focal_lengths(frame_stamps, info_stamps, delay_ns):
+def focal_lengths(frame_stamps, info_stamps, delay_ns, period_ns=PERIOD_NS):
     """Focal length that each frame gets, of models that change with every frame."""
     messages = []
     pixels = np.zeros((4, 6), np.uint8)
     for index, (frame_ns, info_ns) in enumerate(zip(frame_stamps, info_stamps, strict=True)):
-        time_ns = RIGHT[index] + 3_000_000
+        time_ns = START_NS + index * period_ns + 3_000_000
         info = camera_info(0, 6, 4, 5.0 + 0.01 * index)
         messages.append(("/image", time_ns, stamped(image(pixels, "mono8", 0), frame_ns)))
         messages.append(("/camera_info", time_ns + delay_ns, stamped(info, info_ns)))
@@ -61,3 +61,17 @@ def test_each_frame_has_its_own_model(frames, infos, delay_ns):
 def test_of_two_clocks_no_model_is_taken_from_later_frames():
     found = focal_lengths(STAMPS["other clock"], RIGHT, 1_000_000)
     assert found == pytest.approx([5.0, *(5.0 + 0.01 * index for index in range(COUNT - 1))])
+
+
+@pytest.mark.parametrize("delay_ns", [-1_000_000, 1_000_000])
+@pytest.mark.parametrize("infos", ["equal", "zero"])
+def test_frames_of_one_stamp_have_their_own_models_at_a_high_rate(infos, delay_ns):
+    found = focal_lengths(STAMPS["equal"], STAMPS[infos], delay_ns, period_ns=50_000_000)
+    assert found == pytest.approx([5.0 + 0.01 * index for index in range(COUNT)])
+
+
+def test_repeated_stamps_at_a_high_rate_do_not_take_the_model_of_the_frame_before():
+    frames = [START_NS, START_NS, *RIGHT[2:]]
+    infos = [START_NS, *RIGHT[1:]]
+    found = focal_lengths(frames, infos, 1_000_000, period_ns=50_000_000)
+    assert found[:2] == pytest.approx([5.0, 5.01])
