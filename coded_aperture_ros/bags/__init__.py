@@ -3,7 +3,7 @@
 The room stands behind the pipeline, because converting a bag needs it, and before `sources`, for
 which a bag is a source of frames like a folder of pictures. Its files, in their order:
 
-- `contents`, `codec`, `topics`: topics and messages of a bag, and what the messages hold;
+- `names`, `contents`, `codec`, `topics`: topics and messages of a bag, and what the messages hold;
 - `layout`, `mcap_records`, `mcap_file`, `sqlite_file`, `sqlite_recovery`, `opening`, `reading`: the
   files of a bag, each as far as it can be read;
 - `mcap_writing`, `writing`: new bags;
@@ -15,6 +15,7 @@ which a bag is a source of frames like a folder of pictures. Its files, in their
 Needs rosbags and joblib, and matplotlib for reports, which come with the extra `eval`.
 """
 
-from coded_aperture_ros.bags.contents import BagMessage, is_bag
+from coded_aperture_ros.bags.contents import BagMessage
+from coded_aperture_ros.bags.names import is_bag
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.writing import bag_output, check_bag_output

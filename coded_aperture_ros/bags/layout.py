@@ -7,7 +7,7 @@ from typing import Any
 
 import yaml
 
-from coded_aperture_ros.bags.contents import METADATA, PACKED
+from coded_aperture_ros.bags.names import METADATA, PACKED
 
 
 @dataclasses.dataclass(frozen=True)

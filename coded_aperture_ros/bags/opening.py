@@ -4,10 +4,10 @@ import tempfile
 from contextlib import ExitStack
 from pathlib import Path
 
-from coded_aperture_ros.bags.contents import METADATA, PACKED, SUFFIXES, storage_of
 from coded_aperture_ros.bags.damage import DAMAGE, one_line, zstd
 from coded_aperture_ros.bags.layout import Layout, by_number, read_layout, same_recording
 from coded_aperture_ros.bags.mcap_file import McapFile
+from coded_aperture_ros.bags.names import METADATA, PACKED, SUFFIXES, storage_of
 from coded_aperture_ros.bags.sqlite_file import SqliteFile
 from coded_aperture_ros.bags.sqlite_recovery import leftovers, recovered
 from coded_aperture_ros.core.errors import InputError

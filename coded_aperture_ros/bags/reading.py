@@ -9,7 +9,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 
-from coded_aperture_ros.bags.contents import METADATA, BagMessage, Supplement, Topic, is_bag
+from coded_aperture_ros.bags.contents import BagMessage, Supplement, Topic
+from coded_aperture_ros.bags.names import METADATA, is_bag
 from coded_aperture_ros.core.errors import InputError
 
 

@@ -7,7 +7,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from coded_aperture_ros.bags.contents import METADATA, Supplement, Topic
+from coded_aperture_ros.bags.contents import Supplement, Topic
+from coded_aperture_ros.bags.names import METADATA
 from coded_aperture_ros.bags.reading import check_rosbags
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import temporary_folder
