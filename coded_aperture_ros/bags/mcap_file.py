@@ -45,6 +45,8 @@ class McapFile:
         # Messages that are in no chunk: channel, time, position of their content and its end.
         self._single: list[array[int]] = [array("Q") for _ in range(4)]
         self._damaged: set[int] = set()
+        self._misplaced: set[int] = set()
+        self._missing = 0
         self._gaps = 0
         try:
             self._read()
@@ -82,11 +84,18 @@ class McapFile:
         found = []
         if self._damaged:
             found.append(f"{len(self._damaged)} of its {len(self._chunks)} chunks are damaged")
+        if self._missing:
+            found.append(f"{self._missing} of its chunks cannot be found")
         if self._gaps:
             found.append(f"{self._gaps} bytes between its records are damaged")
         if self._undescribed:
             found.append(f"{self._undescribed} messages are of channels that it does not describe")
         parts = [f"{self.path.name}: {', '.join(found)}, and left out"] if found else []
+        if not self._summary_is_whole:
+            parts.append(f"{self.path.name}: its summary is damaged, and not used")
+        if self._misplaced:
+            chunks = f"{len(self._misplaced)} of its {len(self._chunks)} chunks"
+            parts.append(f"{self.path.name}: {chunks} say a wrong time, and may come too late")
         if self._cut:
             parts.append(f"{self.path.name} is cut off{self._cut}")
         return "; ".join(parts)
@@ -101,6 +110,8 @@ class McapFile:
         counted: tuple[int, dict[int, int]] | None = None
         begins_well = mcap.begins_well(self._file)
         used = position = len(mcap.MAGIC) if begins_well else 0
+        summary = mcap.summary_start(self._file, size)
+        self._summary_is_whole = mcap.summary_is_whole(self._file, size)
         for record in mcap.records(self._file, position, size):
             # Less than 0 where a length was wrong, and leads beyond the next record.
             self._gaps += abs(record.start - mcap.RECORD.size - position)
@@ -108,16 +119,23 @@ class McapFile:
             if record.kind == mcap.FOOTER:
                 used = size
                 break
+            if summary and record.start > summary and not self._summary_is_whole:
+                continue  # chunks describe their channels themselves
             try:
                 if record.kind == mcap.STATISTICS:
                     counted = mcap.read_statistics(mcap.read_content(self._file, record))
                 used = max(used, self._take(record))
             except DAMAGE:
                 self._gaps += record.end - record.start
+        else:
+            if summary is not None:  # it has an end, not reached
+                self._gaps += size - position
         if not (begins_well or self._chunks):
             raise ValueError("it does not begin like an MCAP file")
         counts = Counter(self._single[0])
         channels = self._descriptions.channels()
+        if counted is not None and not self._gaps:
+            self._missing = max(0, counted[0] - len(self._chunks))
         known = counted is not None and counted[0] == len(self._chunks) and not self._gaps
         if counted is not None and known and channels.keys() >= counted[1].keys():
             counts |= Counter(counted[1])  # what is damaged was not counted there
@@ -131,7 +149,7 @@ class McapFile:
         self.topics = list(self._topics.values())
         self._undescribed = sum(n for number, n in counts.items() if number not in channels)
         self._cut = ""
-        if mcap.summary_start(self._file, size) is None:
+        if summary is None:
             lost = size - used
             self._cut = f", its last {lost} bytes cannot be used" if lost else ", it has no end"
 
@@ -188,6 +206,8 @@ class McapFile:
         for kind, content in found:
             if kind == mcap.MESSAGE:
                 channel, _, time_ns, _ = mcap.MESSAGE_HEADER.unpack_from(content)
+                if time_ns < self._starts_ns[chunk.start]:
+                    self._misplaced.add(chunk.start)
                 if channel in names:
                     data = bytes(content[mcap.MESSAGE_HEADER.size :])
                     messages.append((time_ns, (names[channel], data)))

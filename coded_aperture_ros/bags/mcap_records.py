@@ -11,6 +11,7 @@ import io
 import mmap
 import re
 import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import BinaryIO
@@ -51,6 +52,7 @@ _MESSAGE_PATTERN = re.compile(rb"\x05(.{5}\0\0\0)", re.DOTALL)
 _FOLLOWING = (SCHEMA, CHANNEL, MESSAGE, ATTACHMENT, METADATA_RECORD, _DATA_END)
 # Summary's start, start of its offsets, checksum.
 _FOOTER = struct.Struct("<QQI")
+_CHECKSUM = struct.Struct("<I")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -174,17 +176,20 @@ def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryv
         compression = read_string(body)
         (packed,) = struct.unpack("<Q", body.read(8))
         raw = content[body.tell() : body.tell() + packed]
+        # More than nothing where a length is wrong.
+        behind = len(content) - body.tell() - len(raw) if chunk.complete else 0
     except DAMAGE:
         return [], len(content)
     try:
-        return _inner_records(memoryview(decompress(raw, compression, size, checksum)))
+        found, unused = _inner_records(memoryview(decompress(raw, compression, size, checksum)))
+        return found, unused + behind
     except DAMAGE:
         if compression:
             return [], len(content)
     found, unused = _inner_records(raw)
     if chunk.complete and (not unused or any(raw[len(raw) - unused :])):
         return [], len(content)
-    return found, unused
+    return found, unused + behind
 
 
 def _inner_records(content: memoryview) -> tuple[list[tuple[int, memoryview]], int]:
@@ -258,6 +263,18 @@ def summary_start(file: BinaryIO, size: int) -> int | None:
         return None
     start, _, _ = _FOOTER.unpack_from(end, len(footer))
     return start if start <= position else None
+
+
+def summary_is_whole(file: BinaryIO, size: int) -> bool:
+    """Whether the summary at the end of an MCAP file has its checksum, if it has one."""
+    start = summary_start(file, size)
+    if not start:
+        return True
+    end = size - len(MAGIC) - _CHECKSUM.size
+    file.seek(start)
+    content = file.read(end - start)
+    (checksum,) = _CHECKSUM.unpack(file.read(_CHECKSUM.size))
+    return checksum in (0, zlib.crc32(content))
 
 
 def read_statistics(content: bytes) -> tuple[int, dict[int, int]]:

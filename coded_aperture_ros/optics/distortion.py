@@ -39,6 +39,7 @@ _OTHER_NAMES = {
 _UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-7)
 # A ray counts if the lens sends it back to its pixel, to this many pixels.
 _ROUND_TRIP_PX = 0.1
+_NEGLIGIBLE = 1e-12
 
 
 def distortion_model(name: str, coefficients: Sequence[float]) -> str:
@@ -191,6 +192,7 @@ def _fold(d: DoubleArray) -> float:
 
 def _smallest_root(polynomial: Polynomial) -> float:
     """Smallest positive real root; infinity if there is none."""
-    roots = np.asarray(polynomial.trim().roots(), np.complex128)
+    # Smaller ones fold nothing, and their roots would overflow.
+    roots = np.asarray(polynomial.trim(_NEGLIGIBLE).roots(), np.complex128)
     real = roots.real[np.abs(roots.imag) < 1e-9 * np.maximum(np.abs(roots), 1e-12)]
     return float(min(real[real > 0], default=np.inf))

@@ -60,9 +60,8 @@ def contradiction(info: Any, width: int, height: int, camera: Camera) -> str:
         )
     if not has_matrices(info):
         return ""
-    columns = _region(info)[2]
-    factor = min(_focal_factors(info, _scale(width, columns, info.binning_x), width, camera))
-    if factor <= math.log(_LARGEST_FACTOR):
+    of_region, of_whole = _focal_factors(info, width, height, camera)
+    if min(of_region, of_whole) <= math.log(_LARGEST_FACTOR):
         return ""
     whole_px = camera.focal_length_px * info.width / camera.image_width
     return (
@@ -87,8 +86,7 @@ def view_from_camera_info(info: Any, width: int, height: int, camera: Camera | N
 
     A frame of another size than binning gives is taken to be the region resized. Where the focal
     length of the message is that of a camera file for frames of the region, not for those of the
-    whole sensor, the region is all of the file's view. Without a focal length, it is where the
-    file is for frames of the region's size.
+    whole sensor, the region is all of the file's view; such a file has the size of these frames.
     """
     left, top, columns, rows = _region(info)
     x = _scale(width, columns, info.binning_x)
@@ -96,31 +94,38 @@ def view_from_camera_info(info: Any, width: int, height: int, camera: Camera | N
     inside = 0 < left + columns <= info.width and 0 < top + rows <= info.height
     if not inside or abs(rows * x - height) > 1.0:
         return None
-    whole = int(info.width * x + 1e-6), int(info.height * y + 1e-6)
-    if camera is not None and _is_all(info, x, (width, height), whole, camera):
+    if camera is not None and _is_all(info, width, height, camera):
         return View.whole(width, height)
+    whole = int(info.width * x + 1e-6), int(info.height * y + 1e-6)
     return View(width, height, *whole, left * x, top * y, max(info.binning_x, info.binning_y) > 1)
 
 
-def _is_all(
-    info: Any, x: float, size: tuple[int, int], whole: tuple[int, int], camera: Camera
-) -> bool:
+def _is_all(info: Any, width: int, height: int, camera: Camera) -> bool:
     """Whether a region is all of the view that a camera file is for."""
     if has_matrices(info):
-        frame_error, whole_error = _focal_factors(info, x, size[0], camera)
-        return frame_error < whole_error
-    return (camera.image_width, camera.image_height) == size != whole
+        of_region, of_whole = _focal_factors(info, width, height, camera)
+        return of_region < of_whole
+    return _is_for_region(info, width, height, camera)
 
 
-def _focal_factors(info: Any, x: float, width: int, camera: Camera) -> tuple[float, float]:
+def _is_for_region(info: Any, width: int, height: int, camera: Camera) -> bool:
+    """Whether a camera file has the size of a region's frames, and not that of the sensor."""
+    size = camera.image_width, camera.image_height
+    return size in ((width, height), _region(info)[2:]) and size != (info.width, info.height)
+
+
+def _focal_factors(info: Any, width: int, height: int, camera: Camera) -> tuple[float, float]:
     """Logarithms of how many times K's focal length is that of a camera file, without sign.
 
-    The first is for a file of frames of the region, the second for one of the whole sensor.
+    The first is for a file of the region's frames, infinite if it cannot be one; the second for one
+    of the whole sensor.
     """
+    columns = _region(info)[2]
     angle = camera.focal_length_px / camera.image_width
-    whole = int(info.width * x + 1e-6)
-    of_frame, of_whole = (abs(math.log(info.k[0] * x / (angle * n))) for n in (width, whole))
-    return of_frame, of_whole
+    of_region, of_whole = (abs(math.log(info.k[0] / (angle * n))) for n in (columns, info.width))
+    if not _is_for_region(info, width, height, camera):
+        of_region = math.inf
+    return of_region, of_whole
 
 
 def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
