@@ -9,7 +9,7 @@ from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.sources import SIMULATOR
+from coded_aperture_ros.sources import SIMULATOR, check_source
 
 _EXAMPLES = """examples:
   a simulated camera:
@@ -61,11 +61,18 @@ class Arguments(PixelArguments):
         maximum=1000,
     )
     browser: bool = argument("open the page", True)
+    read_only: bool = argument(
+        "pages only look: they change no settings that others share, and keep nothing", False
+    )
     estimation: DepthConfig = group("estimation", DepthConfig(temporal_frames=VIDEO_FRAMES))
 
 
 def run(args: Arguments) -> int:
     """Serve the page until Ctrl-C; return the exit status."""
+    check_source(args.source)
+    for suffix, name in ((".npz", "--bank"), (".yaml", "--camera"), (".yml", "--camera")):
+        if args.source.endswith(suffix):
+            raise UsageError(f"{args.source} has no frames: write {name} {args.source}")
     if args.camera is None and args.source != SIMULATOR:
         raise UsageError("required: --camera (of what is not simulated)")
     if args.camera is not None and args.bank is None and args.depth_range is None:
@@ -84,6 +91,7 @@ def run(args: Arguments) -> int:
             browser=args.browser,
             pixels=PixelFormat(args.gamma, args.bits, args.bayer),
             depth=args.estimation,
+            read_only=args.read_only,
         )
     )
     return 0

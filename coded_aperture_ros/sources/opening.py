@@ -107,7 +107,7 @@ def open_source(
         return SimulatorSource(camera, rate_hz, noise)
     if not text:
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
-    if text.isdecimal() or text.startswith("/dev/"):
+    if _is_device(text):
         address = int(text) if text.isdecimal() else text
         config = device or DeviceConfig()
         if not (config.width and config.height):
@@ -116,6 +116,34 @@ def open_source(
             )
         return DeviceSource(address, config, rate_hz)
     # The sender of a stream chooses its size and rate.
-    if not text.startswith(_BAG) and ("://" in text or " ! " in text):
+    if _is_stream(text):
         return DeviceSource(text)
     return open_files(text, loop)
+
+
+def check_source(text: str) -> None:
+    """Raise an `InputError` if a source is files that are missing; nothing is opened.
+
+    So a command names what the user has written first, before it reads other files.
+
+    Examples
+    --------
+    >>> check_source("simulator")
+    >>> check_source("nope.png")
+    Traceback (most recent call last):
+    ...
+    coded_aperture_ros.core.errors.InputError: cannot read nope.png: no such file or folder
+    """
+    if text == SIMULATOR or not text or _is_device(text) or _is_stream(text):
+        return
+    path = text.removeprefix(_BAG).partition("#")[0] if text.startswith(_BAG) else text
+    if not Path(path).exists():
+        raise InputError(f"cannot read {path}: no such file or folder")
+
+
+def _is_device(text: str) -> bool:
+    return text.isdecimal() or text.startswith("/dev/")
+
+
+def _is_stream(text: str) -> bool:
+    return not text.startswith(_BAG) and ("://" in text or " ! " in text)

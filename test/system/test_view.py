@@ -171,7 +171,7 @@ def test_depths_are_sent_in_steps():
 
 
 def test_only_settings_that_exist_are_taken():
-    settings = Settings(DepthConfig(), DeblurConfig(), LookConfig())
+    settings = Settings(DepthConfig(), DeblurConfig())
     other = settings.changed({"depth.confidence_threshold": 1, "look.picture": "refocused"})
     assert other.depth.confidence_threshold == 1.0 and other.look.picture == "refocused"
     assert other.deblur is settings.deblur
@@ -224,7 +224,7 @@ def test_a_client_sees_frames_changes_settings_and_keeps_what_it_sees(viewer):
             folder = (await told(socket, lambda m: "said" in m))["said"]
             await socket.send_json({"set": {"depth.free_space_risk": 0.0}})
             await socket.send_json({"do": "record"})
-            await shown(socket, lambda head, _: (head["recorded"] or 0) >= 3)
+            await told(socket, lambda m: (m.get("recorded") or 0) >= 3)
             await socket.send_json({"do": "record"})
             finished = await told(socket, lambda m: m.get("said", "").endswith(" frames"))
             return folder, finished["said"]
@@ -269,8 +269,22 @@ def test_wrong_use_is_told_in_one_line(viewer, capsys, tmp_path):
     port = viewer[0].rstrip("/").split(":")[-1]
     assert main(["view", "--port", port, "--no-browser"]) == 1
     assert f"cannot listen on 127.0.0.1, port {port}" in capsys.readouterr().err
+    (tmp_path / "camera.yaml").write_text(yaml.safe_dump(CAMERA))
+    (tmp_path / "video.avi").touch()
+    camera = ["--camera", str(tmp_path / "camera.yaml")]
+    missing = "no such file"
     for options, said in (
-        (["video.avi"], "required: --camera"),
+        ([str(tmp_path / "video.avi")], "required: --camera"),
+        # What is missing is named, in the order source, camera, bank, and nothing else.
+        (["nope.png"], f"error: cannot read nope.png: {missing}"),
+        (["nope.npz"], f"error: cannot read nope.npz: {missing}"),
+        (["bag:nope.mcap#/image"], f"error: cannot read nope.mcap: {missing}"),
+        (["nope.png", *camera, "--bank", "no.npz"], f"error: cannot read nope.png: {missing}"),
+        (["nope/", "--camera", "no.yaml"], f"error: cannot read nope/: {missing}"),
+        (["--camera", "no.yaml", "--bank", "no.npz"], "error: cannot read camera file no.yaml"),
+        ([*camera, "--bank", "no.npz"], "error: no.npz: no such file"),
+        (["--bank", "no.npz"], "error: no.npz: no such file"),
+        ([str(tmp_path / "camera.yaml")], "has no frames: write --camera"),
         (["--camera", "no.yaml", "--depth-range", "1", "2"], "no.yaml"),
         (["--camera", "no.yaml"], "required: --depth-range or --bank"),
     ):
@@ -327,8 +341,9 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         text = await page.value("drawCursor(), document.querySelector('#cursor').textContent")
         assert "free up to" in text
         await page.picture(tmp_path / "free.png")
+        # It is computed for as long as a page shows it.
         await page.value("map.value = ''; map.onchange()")
-        await slide(page, "depth.free_space_risk", 0.0)
+        await page.wait("viewer.frame.settings['depth.free_space_risk'] === 0")
 
         # A second surface, where there is one.
         assert await page.value("viewer.frame.layers.second === undefined")
@@ -339,7 +354,7 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         assert await page.value("viewer.frame.layers.second.length === viewer.frame.depth.length")
         assert await page.value("document.querySelector('#depth').toDataURL()") != surfaces
         await page.picture(tmp_path / "second.png")
-        await page.value("map.value = ''; map.onchange(); set('depth.second_surface', false)")
+        await page.value("map.value = ''; map.onchange()")
         await page.wait("viewer.frame.layers.second === undefined")
 
         await page.value("document.querySelector('#aid').open = true")
@@ -349,12 +364,12 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
 
         await page.value("choose('points')")
         await page.wait("document.querySelector('#points').width === 320")
-        await page.wait("viewer.settings['look.picture'] === 'none'")
+        await page.wait("viewer.settings['look.picture'] === 'sharp'")
         before = await page.value("document.querySelector('#points').toDataURL()")
         await page.value("viewer.yaw = -0.5; drawPoints()")
         assert await page.value("document.querySelector('#points').toDataURL()") != before
         await page.value("pause.onclick()")
-        await page.wait("viewer.frame.settings['look.paused']")
+        await page.wait("viewer.frame.settings['run.paused']")
 
     async def slide(page, name, value):
         await page.value(
@@ -417,5 +432,5 @@ def test_frames_of_another_size_are_refused_and_kept_in_snapshots(tmp_path):
     server.live.stop()
     assert shown[0].estimate is None
     assert "the same blur in pixels would be another depth" in shown[0].problem
-    kept = read_image(server._snapshot() + "/coded.png")
+    kept = read_image(server._keeping.snapshot(LookConfig()) + "/coded.png")
     assert kept.shape[:2] == shape

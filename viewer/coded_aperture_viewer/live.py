@@ -5,12 +5,13 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthEstimate
 from coded_aperture_ros.frames import Frame, PixelFormat
+from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import check_frame_size
 from coded_aperture_ros.likelihood.choose import filter_bank
 from coded_aperture_ros.optics import Camera
@@ -28,6 +29,9 @@ _RETRY_S = 1.0
 # Frames over which the rate is measured.
 _RATE_FRAMES = 20
 
+# Settings to process a frame with, and what pages display of its all-in-focus picture.
+_Wanted = tuple[Settings, frozenset[LookConfig]]
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Shown:
@@ -40,10 +44,12 @@ class Shown:
     frame : ndarray or None
         Linear light, float32 [rows, columns(, 3)].
     estimate : DepthEstimate or None
-    sharp, picture : ndarray or None
-        All-in-focus picture, and the picture that is displayed, of the shape of `frame`; not every
-        frame has them.
+    sharp : ndarray or None
+        All-in-focus picture, of the shape of `frame`; not every frame has one.
+    pictures : {LookConfig: ndarray}
+        What pages display of it, by `LookConfig.made_from`.
     settings : Settings
+        Of which the look is of no page.
     rate_hz, latency_s : float
         Frames per second over the last ones, and how long this one took.
     problem : str
@@ -55,7 +61,7 @@ class Shown:
     frame: FloatArray | None = None
     estimate: DepthEstimate | None = None
     sharp: FloatArray | None = None
-    picture: FloatArray | None = None
+    pictures: Mapping[LookConfig, FloatArray] = dataclasses.field(default_factory=dict)
     rate_hz: float = 0.0
     latency_s: float = 0.0
     problem: str = ""
@@ -89,7 +95,7 @@ class Live:
         period_s: float,
         show: Callable[[Shown], None],
     ) -> None:
-        self.settings = settings
+        self._wanted: _Wanted = settings, frozenset()
         self._source = source
         self._pipeline = pipeline
         self._show = show
@@ -100,9 +106,18 @@ class Live:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="frames", daemon=True)
 
+    @property
+    def model(self) -> LikelihoodModel:
+        """What the depth is estimated with."""
+        return self._pipeline.estimator.source_model
+
     def start(self) -> None:
         """Start the thread."""
         self._thread.start()
+
+    def want(self, settings: Settings, looks: Collection[LookConfig]) -> None:
+        """Set how the next frames are processed, and which pictures pages display."""
+        self._wanted = settings, frozenset(look.made_from for look in looks)
 
     def watch(self, watched: bool) -> None:
         """Set whether frames are needed, by a page or a recording; else the thread waits."""
@@ -111,24 +126,35 @@ class Live:
         else:
             self._watched.clear()
 
-    def stop(self) -> None:
-        """End the thread, and close source and pipeline."""
+    def stop(self, within_s: float | None = None) -> None:
+        """End the thread, and close source and pipeline.
+
+        Parameters
+        ----------
+        within_s : float, optional
+            A frame that takes longer, as of a camera that does not answer, is left to the end of
+            the program, with source and pipeline.
+        """
         self._stopping.set()
         self._watched.set()
         if self._thread.is_alive():
-            self._thread.join()
+            self._thread.join(within_s)
+        if self._thread.is_alive():
+            logging.warning("the last frame was not finished: the viewer ends without it")
+            return
         self._source.close()
         self._pipeline.close()
 
     def _run(self) -> None:
         capture: Capture | None = None
-        shown_settings: Settings | None = None
+        shown_for: _Wanted | None = None
         pictures = _TimeShare(_DEPTH_TO_PICTURES)
         ends_s: deque[float] = deque(maxlen=_RATE_FRAMES)
         while self._watched.wait() and not self._stopping.is_set():
-            settings = self.settings
-            paused = settings.look.paused and capture is not None
-            if paused and settings == shown_settings:
+            wanted = self._wanted
+            settings, _ = wanted
+            paused = settings.run.paused and capture is not None
+            if paused and wanted == shown_for:
                 self._stopping.wait(_IDLE_S)
                 continue
             begin_s = time.monotonic()
@@ -137,13 +163,13 @@ class Live:
                     capture = self._source.read()
                     if capture is None:
                         raise InputError("end of the source: no more frames")
-                shown = self._process(capture, settings, paused, pictures)
+                shown = self._process(capture, wanted, paused, pictures)
             except InputError as error:
                 shown = Shown(settings, capture, problem=str(error))
             except Exception as error:  # of a camera's driver, for example: the next may succeed
                 logging.exception("frame skipped after an internal error")
                 shown = Shown(settings, capture, problem=f"{type(error).__name__}: {error}")
-            shown_settings = settings
+            shown_for = wanted
             end_s = time.monotonic()
             ends_s.append(end_s)
             rate_hz = (len(ends_s) - 1) / (end_s - ends_s[0]) if len(ends_s) > 1 else 0.0
@@ -154,10 +180,12 @@ class Live:
                 self._stopping.wait(self._period_s - (time.monotonic() - begin_s))
 
     def _process(
-        self, capture: Capture | None, settings: Settings, again: bool, pictures: "_TimeShare"
+        self, capture: Capture | None, wanted: _Wanted, again: bool, pictures: "_TimeShare"
     ) -> Shown:
         """Results of a frame; `again` if it is the same frame with other settings."""
         assert capture is not None
+        settings, looks = wanted
+        looks = frozenset(look for look in looks if look.picture != "none")
         frame = capture.decode(self._pixel_format, self._camera)
         frame = dataclasses.replace(frame, stamp_ns=None)
         shown = Shown(settings, capture, frame.picture)
@@ -168,14 +196,14 @@ class Live:
             self._pipeline.reconfigure(camera=camera, depth=settings.depth, deblur=settings.deblur)
             estimate = self._pipeline(frame)
             shown = dataclasses.replace(shown, estimate=estimate)
-            if settings.look.picture == "none" or not (again or pictures.due):
+            if not looks or not (again or pictures.due):
                 return shown
             with pictures:
                 sharp = self._pipeline.deblur(frame, estimate)
-                picture = _displayed_picture(sharp, estimate, settings.look)
+                made = {look: _displayed_picture(sharp, estimate, look) for look in looks}
         except InputError as error:
             return dataclasses.replace(shown, problem=str(error))
-        return dataclasses.replace(shown, sharp=sharp, picture=picture)
+        return dataclasses.replace(shown, sharp=sharp, pictures=made)
 
     def _camera_for(self, frame: Frame) -> Camera | None:
         """Camera of a frame's whole view; an `InputError` if the bank is for another."""
@@ -185,7 +213,7 @@ class Live:
 
 
 def _displayed_picture(sharp: FloatArray, estimate: DepthEstimate, look: LookConfig) -> FloatArray:
-    """All-in-focus picture, refocused if the page asks for it."""
+    """All-in-focus picture, refocused if a page asks for it."""
     if look.picture != "refocused" or estimate.depth_m is None:
         return sharp
     return refocused(sharp, estimate.depth_m, look.focus_m, look.opening_px)

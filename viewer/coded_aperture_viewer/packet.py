@@ -1,7 +1,9 @@
-"""Binary message of a frame for the page: a JSON header, then pictures and maps."""
+"""Binary message of a frame for a page: a JSON header, then pictures and maps."""
 
+import dataclasses
 import json
 import struct
+from collections.abc import Hashable, Mapping
 from typing import Any
 
 import cv2
@@ -23,34 +25,70 @@ METRES = ("depth", "bound")
 SHARES = ("probability", "share")
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Packet:
+    """Encoded frame and results, from which each page gets a message.
+
+    Attributes
+    ----------
+    entries : dict
+        Of the header, the same for all pages.
+    parts : {str: bytes}
+        The coded frame and the maps.
+    pictures : {key: bytes}
+        Pictures, of which a page gets one.
+    """
+
+    entries: dict[str, Any]
+    parts: dict[str, bytes]
+    pictures: dict[Hashable, bytes]
+
+    def message(self, picture: Hashable, entries: dict[str, Any]) -> bytes:
+        """Message with one of the pictures, if there is such a one, and further entries.
+
+        The first four of eight bytes are the length of the header, in JSON. Its `parts` has the
+        offset of each part, from the header's end, and its length.
+        """
+        parts = dict(self.parts)
+        if picture in self.pictures:
+            parts["picture"] = self.pictures[picture]
+        places = {}
+        offset = 0
+        for name, part in parts.items():
+            places[name] = [offset, len(part)]
+            offset += len(part) + _padding(part)
+        text = json.dumps({**self.entries, **entries, "parts": places}).encode()
+        text += b" " * _padding(text)
+        padded = (part + bytes(_padding(part)) for part in parts.values())
+        return b"".join([struct.pack("<II", len(text), 0), text, *padded])
+
+
 def packet(
     frame: FloatArray,
-    picture: FloatArray | None,
+    pictures: Mapping[Any, FloatArray],
     estimate: DepthEstimate | None,
     largest_m: float,
-    header: dict[str, Any],
-) -> bytes:
-    """Message of a frame and its results.
+    entries: dict[str, Any],
+) -> Packet:
+    """Encoded frame and results.
 
-    The first four of eight bytes are the length of the header. `parts` in the header has the offset
-    of each part, from the header's end, and its length. `frame` and `picture` are JPEG. Maps are
-    row by row: `depth`, `std_dev` and layers in metres have 16 bits, in units of `unit_m`;
-    `confidence` and layers from 0 to 1 have 8 bits.
+    The coded frame and the pictures are JPEG. Maps are row by row: `depth`, `std_dev` and layers in
+    metres have 16 bits, in units of `unit_m`; `confidence` and layers from 0 to 1 have 8 bits.
 
     Parameters
     ----------
-    frame, picture : ndarray, float32 [rows, columns] or [rows, columns, 3]
-        Linear light; the coded frame, and the all-in-focus or refocused picture, if any.
+    frame : ndarray, float32 [rows, columns] or [rows, columns, 3]
+        Linear light.
+    pictures : {key: ndarray like `frame`}
+        All-in-focus and refocused pictures.
     estimate : DepthEstimate or None
     largest_m : float
         Largest depth that can be sent.
-    header : dict
-        Further entries of the header.
+    entries : dict
+        Of the header; `size` and `unit_m` are added.
     """
     unit_m = largest_m / _STEPS
     parts = {"frame": _jpeg(frame)}
-    if picture is not None:
-        parts["picture"] = _jpeg(picture)
     if estimate is not None and estimate.depth_m is not None and estimate.std_dev_m is not None:
         parts["depth"] = steps(estimate.depth_m, unit_m).tobytes()
         parts["std_dev"] = steps(estimate.std_dev_m, unit_m).tobytes()
@@ -60,16 +98,9 @@ def packet(
                 parts[layer.spec.name] = steps(layer.values, unit_m).tobytes()
             elif layer.spec.kind in SHARES:
                 parts[layer.spec.name] = shares_as_bytes(layer.values).tobytes()
-    places = {}
-    offset = 0
-    for name, part in parts.items():
-        places[name] = [offset, len(part)]
-        offset += len(part) + _padding(part)
-    entries = {**header, "parts": places, "size": list(frame.shape[:2]), "unit_m": unit_m}
-    text = json.dumps(entries).encode()
-    text += b" " * _padding(text)
-    padded = (part + bytes(_padding(part)) for part in parts.values())
-    return b"".join([struct.pack("<II", len(text), 0), text, *padded])
+    encoded = {key: _jpeg(picture) for key, picture in pictures.items()}
+    entries = {**entries, "size": list(frame.shape[:2]), "unit_m": unit_m}
+    return Packet(entries, parts, encoded)
 
 
 def steps(metres: FloatArray, unit_m: float) -> NDArray[np.uint16]:

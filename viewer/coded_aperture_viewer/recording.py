@@ -2,13 +2,15 @@
 
 import dataclasses
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.bags.writing import describe_write_errors
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.files import temporary_folder
 from coded_aperture_ros.depth.points import points_of_frame
 from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 from coded_aperture_ros.io.messages import pixels_from_frame
@@ -22,7 +24,7 @@ _INFO_TOPIC = "/camera_info"
 _FRAME_ID = "camera_optical_frame"
 
 
-def new_folder(output: Path, kind: str) -> Path:
+def new_path(output: Path, kind: str) -> Path:
     """Path in `output` that does not exist yet, such as `snapshot-20260131-235959`."""
     name = f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = output / name
@@ -33,15 +35,47 @@ def new_folder(output: Path, kind: str) -> Path:
     return path
 
 
-def write_snapshot(folder: Path, shown: Shown, camera: Camera) -> None:
-    """Write a frame, its maps, their pictures and its points; an `InputError` if it cannot."""
-    if shown.frame is None:
-        raise InputError("no frame yet: wait for the first one")
+def write_snapshot(output: Path, shown: Shown, picture: FloatArray | None, camera: Camera) -> Path:
+    """Write a frame, its maps, their pictures and its points to a new folder, or nothing.
+
+    Parameters
+    ----------
+    output : Path
+        Where the folder is made.
+    shown : Shown
+        With a frame.
+    picture : ndarray or None
+        What the page displays beside it.
+    camera : Camera
+
+    Returns
+    -------
+    Path
+        The folder, which is complete when it appears.
+
+    Raises
+    ------
+    InputError
+        If it cannot be written.
+    """
+    with describe_write_errors(output), temporary_folder(output / "snapshot") as temporary:
+        written = temporary / "snapshot"
+        written.mkdir()
+        _write_files(written, shown, picture, camera)
+        while True:
+            folder = new_path(output, "snapshot")
+            with suppress(FileExistsError):
+                folder.mkdir()  # another snapshot of this second gets another name
+                return written.replace(folder)
+
+
+def _write_files(folder: Path, shown: Shown, picture: FloatArray | None, camera: Camera) -> None:
+    assert shown.frame is not None
     write_image(folder / "coded.png", shown.frame)
     if shown.sharp is not None:
         write_image(folder / "all_in_focus.png", shown.sharp)
-    if shown.picture is not None and shown.picture is not shown.sharp:
-        write_image(folder / "refocused.png", shown.picture)
+    if picture is not None and picture is not shown.sharp:
+        write_image(folder / "refocused.png", picture)
     estimate = shown.estimate
     if estimate is None or estimate.depth_m is None or estimate.std_dev_m is None:
         return

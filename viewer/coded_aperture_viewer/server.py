@@ -2,36 +2,42 @@
 
 import asyncio
 import dataclasses
-import hmac
 import json
 import logging
-import threading
 import time
-from collections.abc import Awaitable, Callable
-from contextlib import suppress
-from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
 
 import cv2
 import numpy as np
 from aiohttp import WSMsgType, web
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import short
 from coded_aperture_ros.optics import Camera
+from coded_aperture_viewer.guard import access_check, add_headers
+from coded_aperture_viewer.inactive import inactive_settings
+from coded_aperture_viewer.keeping import Keeping
+from coded_aperture_viewer.layer_switches import LayerSwitches
 from coded_aperture_viewer.live import Live, Shown
-from coded_aperture_viewer.packet import BEYOND, NEARER, packet
-from coded_aperture_viewer.recording import Recording, new_folder, write_snapshot
+from coded_aperture_viewer.open_page import OpenPage
+from coded_aperture_viewer.packet import BEYOND, NEARER, Packet, packet
+from coded_aperture_viewer.page_text import page_policy, page_text
+from coded_aperture_viewer.settings import Settings, is_shared
 from coded_aperture_viewer.setup_figures import setup_figures
 
-_PAGE = Path(__file__).with_name("page.html")
-_LOCAL = ("localhost", "127.0.0.1", "::1")
 # Longest message that a page may send, bytes.
 _LARGEST_MESSAGE = 65_536
+# Most pages that are open at a time.
+_MOST_PAGES = 16
+# A page that answers no ping within half of this is gone.
+_PING_S = 60.0
 # Shortest time between two frames that are sent, and between packing one and starting the next:
 # packing and drawing them must not slow down the estimation of depth.
 _PERIOD_S = 0.1
 _PAUSE_S = 0.05
+# The frame that is processed at the end may take so long.
+_LAST_FRAME_S = 0.8
+_READ_ONLY = "read-only: this viewer was started with --read-only"
 
 
 class Server:
@@ -42,60 +48,60 @@ class Server:
     camera : Camera
     depth_range_m : (float, float)
         Ends of the colour scale.
-    mosaic : str
-        Colour filter array of grey frames, for recordings.
-    output : Path
-        Folder for snapshots and recordings.
+    settings : Settings
+        First settings.
+    keeping : Keeping
+        For snapshots and recordings.
     token : str
         The page's address has to end in it (`?token=`); empty: requests of this machine only.
+    read_only : bool
+        Whether pages change nothing but what they display themselves.
     """
 
     def __init__(
         self,
         camera: Camera,
         depth_range_m: tuple[float, float],
-        mosaic: str,
-        output: Path,
+        settings: Settings,
+        keeping: Keeping,
         token: str,
+        read_only: bool = False,
     ) -> None:
         self.live: Live | None = None
         self._camera = camera
         self._range_m = depth_range_m
-        self._mosaic = mosaic
-        self._output = output
+        self._first_look = settings.look
+        self._switches = LayerSwitches(settings)
+        self._keeping = keeping
         self._token = token
+        self._read_only = read_only
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._pages: dict[web.WebSocketResponse, asyncio.Event] = {}
+        self._pages: set[OpenPage] = set()
         self._frame_number = 0
-        self._newest_packet = b""
+        self._newest: Packet | None = None
         self._latest: Shown | None = None
         self._arrived = asyncio.Event()
         self._packing: asyncio.Task[None] | None = None
-        self._newest_complete: Shown | None = None
-        self._recording: Recording | None = None
-        # For the recording and the newest frames, which the frames' and the server's thread use.
-        self._lock = threading.Lock()
 
     def application(self) -> web.Application:
         """Application for aiohttp."""
-        application = web.Application(middlewares=[self._guard])
+        application = web.Application(middlewares=[access_check(self._token)])
         application.add_routes([web.get("/", self._page), web.get("/live", self._serve)])
+        application.on_response_prepare.append(add_headers)
         application.on_startup.append(self._start)
         application.on_shutdown.append(self._stop)
         return application
 
+    def connections(self) -> set[Any]:
+        """Connections of the open pages."""
+        return {page.protocol for page in self._pages}
+
     def show(self, shown: Shown) -> None:
         """Send a frame to every page and to the recording; called in the thread of the frames."""
-        with self._lock:
-            if shown.frame is not None:
-                self._record_frame(shown)
-                if (
-                    shown.sharp is not None
-                    or shown.problem
-                    or shown.settings.look.picture == "none"
-                ):
-                    self._newest_complete = shown  # with everything that a snapshot contains
-            self._latest = shown
+        no_picture_wanted = all(page.look.picture == "none" for page in list(self._pages))
+        is_complete = shown.sharp is not None or bool(shown.problem) or no_picture_wanted
+        self._keeping.add(shown, is_complete)
+        self._latest = shown
         loop = self._loop
         if loop is not None and not loop.is_closed():
             loop.call_soon_threadsafe(self._arrived.set)
@@ -107,9 +113,8 @@ class Server:
             self._arrived.clear()
             begin_s = time.monotonic()
             if self._latest is not None:
-                self._newest_packet = await asyncio.to_thread(self._make_packet, self._latest)
-            for wake in self._pages.values():
-                wake.set()
+                self._newest = await asyncio.to_thread(self._packet, self._latest)
+            self._wake_pages()
             await asyncio.sleep(max(_PAUSE_S, begin_s + _PERIOD_S - time.monotonic()))
 
     async def _start(self, _: web.Application) -> None:
@@ -119,100 +124,127 @@ class Server:
             self.live.start()
 
     async def _stop(self, _: web.Application) -> None:
-        for page in list(self._pages):
-            await page.close(code=1001, message=b"the viewer has ended")
-        if self.live is not None:
-            await asyncio.to_thread(self.live.stop)
+        """Finish the recording before anything that might take long, then end the rest."""
+        await asyncio.to_thread(self._keeping.end)
         if self._packing is not None:
             self._packing.cancel()
-        with self._lock:
-            self._end_recording()
-
-    @web.middleware
-    async def _guard(
-        self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]
-    ) -> web.StreamResponse:
-        """Refuse requests without the token, and those of pages of other sites."""
-        if self._token:
-            given = request.query.get("token", "")
-            if not hmac.compare_digest(given.encode(), self._token.encode()):
-                raise web.HTTPForbidden(text="Token missing or wrong: use the printed address.")
-        elif urlsplit(f"//{request.host}").hostname not in _LOCAL:
-            raise web.HTTPForbidden(text="Only for this machine: use localhost, or --host.")
-        origin = request.headers.get("Origin")
-        if origin is not None and urlsplit(origin).netloc != request.host:
-            raise web.HTTPForbidden(text="Request of another site refused.")
-        return await handler(request)
+        closing = [page.close() for page in self._pages]
+        if self.live is not None:
+            closing.append(asyncio.to_thread(self.live.stop, _LAST_FRAME_S))
+        await asyncio.gather(*closing)
 
     async def _page(self, _: web.Request) -> web.StreamResponse:
-        policy = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; "
-        policy += "img-src blob: data:; connect-src 'self'"
-        headers = {"Content-Security-Policy": policy, "Cache-Control": "no-store"}
-        return web.Response(
-            text=_PAGE.read_text("utf-8"), content_type="text/html", headers=headers
-        )
+        headers = {"Content-Security-Policy": page_policy()}
+        return web.Response(text=page_text(), content_type="text/html", headers=headers)
 
     async def _serve(self, request: web.Request) -> web.StreamResponse:
-        page = web.WebSocketResponse(max_msg_size=_LARGEST_MESSAGE, compress=False)
-        await page.prepare(request)
-        await page.send_json(self._page_setup())
-        wake = asyncio.Event()
-        self._pages[page] = wake
-        if self._newest_packet:
-            wake.set()
-        self._update_watched()
-        sending = asyncio.create_task(self._send(page, wake))
+        socket = web.WebSocketResponse(
+            max_msg_size=_LARGEST_MESSAGE, compress=False, heartbeat=_PING_S
+        )
+        await socket.prepare(request)
+        if len(self._pages) >= _MOST_PAGES:
+            problem = f"{_MOST_PAGES} pages are open already: close one of them"
+            await socket.send_json({"problem": problem})
+            await socket.close(code=1013)
+            return socket
+        page = OpenPage(socket, request, self._first_look)
+        page.answer(**self._page_setup())
+        self._pages.add(page)
+        self._update()
+        sending = asyncio.create_task(page.send(lambda: self._status(page), lambda: self._newest))
         try:
-            async for message in page:
+            async for message in socket:
                 if message.type == WSMsgType.TEXT:
                     await self._handle(page, message.data)
         finally:
             sending.cancel()
-            del self._pages[page]
-            self._update_watched()
-        return page
+            self._pages.discard(page)
+            self._update()
+            page.drop()
+        return socket
 
-    async def _send(self, page: web.WebSocketResponse, wake: asyncio.Event) -> None:
-        """Send the newest frame whenever there is one; a slow page misses those in between."""
-        while not page.closed:
-            await wake.wait()
-            wake.clear()
-            await page.send_bytes(self._newest_packet)
-
-    async def _handle(self, page: web.WebSocketResponse, text: str) -> None:
+    async def _handle(self, page: OpenPage, text: str) -> None:
         """Carry out a request of a page, or send it the reason why not."""
-        assert self.live is not None
         try:
-            wanted = json.loads(text)
-            if not isinstance(wanted, dict):
-                raise InputError(f"request: expected an object, got {text}")
+            wanted = _decode(text)
             if "set" in wanted:
-                self.live.settings = self.live.settings.changed(wanted["set"])
-            if wanted.get("do") == "snapshot":
-                await page.send_json({"said": await asyncio.to_thread(self._snapshot)})
-            if wanted.get("do") == "record":
-                await page.send_json({"said": await asyncio.to_thread(self._toggle_recording)})
-        except (InputError, ValueError, OSError, ImportError) as error:
+                self._set(page, wanted["set"])
+            if "layer" in wanted:
+                self._set_layer(page, wanted["layer"])
+            if wanted.get("do") in ("snapshot", "record"):
+                page.answer(said=await asyncio.to_thread(self._keep, page, wanted["do"]))
+        except (InputError, ImportError) as error:
+            page.answer(problem=str(error))
+        except OSError as error:
             logging.warning("%s", error)
-            await page.send_json({"problem": str(error), "settings": self._values()})
+            page.answer(problem=str(error))
 
-    def _update_watched(self) -> None:
-        """Let frames be processed only while a page is open or a recording runs."""
+    def _set(self, page: OpenPage, wanted: Any) -> None:
+        """Change settings, of this page or of all."""
+        look = self._settings(page).changed(wanted).look
+        shared = {name: value for name, value in wanted.items() if is_shared(name)}
+        if shared and self._read_only:
+            raise InputError(_READ_ONLY)
+        self._switches.change(shared)
+        page.look = look
+        self._update()
+
+    def _set_layer(self, page: OpenPage, name: Any) -> None:
+        """Set which layer a page shows; it is computed from now on."""
+        names = [layer["name"] for layer in self._switches.chosen.layers()]
+        if name not in ("", *names):
+            raise InputError(f"layer: {short(name)} is none of {', '.join(names)}")
+        page.layer = name
+        self._update()
+
+    def _keep(self, page: OpenPage, kind: str) -> str:
+        if self._read_only:
+            raise InputError(_READ_ONLY)
+        if kind == "snapshot":
+            return self._keeping.snapshot(page.look)
+        return self._keeping.toggle_recording()
+
+    def _update(self) -> None:
+        """Process frames as the pages that are open now need them, or a recording does."""
+        if not self._read_only:
+            self._switches.show({page.layer for page in self._pages})
         if self.live is not None:
-            self.live.watch(bool(self._pages) or self._recording is not None)
+            self.live.want(self._switches.settings, [page.look for page in self._pages])
+            self.live.watch(bool(self._pages) or self._keeping.recorded is not None)
+        self._wake_pages()
 
-    def _values(self) -> dict[str, Any]:
-        return self.live.settings.as_values() if self.live is not None else {}
+    def _wake_pages(self) -> None:
+        for page in self._pages:
+            page.wake()
+
+    def _settings(self, page: OpenPage) -> Settings:
+        return self._switches.settings.with_look(page.look)
+
+    def _status(self, page: OpenPage) -> dict[str, Any]:
+        """What a page gets whenever it has changed, and at least every few seconds."""
+        settings = self._settings(page)
+        looks = [each.look for each in self._pages]
+        inactive = {}
+        if self.live is not None:
+            inactive = inactive_settings(settings, looks, self.live.model)
+        return {
+            "settings": settings.as_values(),
+            "inactive": inactive,
+            "pages": len(self._pages),
+            "recorded": self._keeping.recorded,
+        }
 
     def _page_setup(self) -> dict[str, Any]:
         """Controls, layers, settings and colours, which a page gets once."""
         shades = np.arange(256, dtype=np.uint8)[None]
         turbo = cv2.applyColorMap(shades, cv2.COLORMAP_TURBO)[0, :, ::-1]
         near_m, far_m = self._range_m
+        settings = self._switches.settings
         return {
-            "controls": self.live.settings.controls() if self.live is not None else [],
-            "layers": self.live.settings.layers() if self.live is not None else [],
-            "settings": self._values(),
+            "controls": settings.controls(),
+            "layers": settings.layers(),
+            "settings": settings.as_values(),
+            "read_only": self._read_only,
             "range_m": [near_m, far_m],
             "colours": turbo.tolist(),
             "nearer": NEARER,
@@ -220,8 +252,8 @@ class Server:
             "focal_px": self._camera.intrinsics.camera_matrix[0] / self._camera.image_width,
         }
 
-    def _make_packet(self, shown: Shown) -> bytes:
-        """Message of a frame and its figures; see `packet`."""
+    def _packet(self, shown: Shown) -> Packet:
+        """Frame and its figures for the pages; see `packet`."""
         self._frame_number += 1
         health = shown.estimate.health if shown.estimate is not None else None
         header: dict[str, Any] = {
@@ -231,47 +263,20 @@ class Server:
             "latency_ms": 1000 * shown.latency_s,
             "problem": shown.problem,
             "health": None if health is None else {"value": health.value, "said": str(health)},
-            "recorded": None if self._recording is None else self._recording.count,
         }
         if shown.frame is not None and shown.estimate is not None:
             figures = setup_figures(shown.frame, shown.estimate, self._camera)
             header["aid"] = dataclasses.asdict(figures)
-        if shown.frame is None:
-            return packet(np.zeros((1, 1), np.float32), None, None, 1.0, header)
-        return packet(shown.frame, shown.picture, shown.estimate, 2 * self._range_m[1], header)
+        frame = np.zeros((1, 1), np.float32) if shown.frame is None else shown.frame
+        return packet(frame, shown.pictures, shown.estimate, 2 * self._range_m[1], header)
 
-    def _record_frame(self, shown: Shown) -> None:
-        if self._recording is None or shown.capture is None or shown.settings.look.paused:
-            return
-        try:
-            self._recording.add(shown.capture, self._mosaic)
-        except (InputError, OSError) as error:
-            logging.error("recording stopped: %s", error)
-            with suppress(InputError, OSError):  # the bag cannot be finished either
-                self._end_recording()
 
-    def _snapshot(self) -> str:
-        """Write the newest complete frame; return the folder."""
-        with self._lock:
-            shown = self._newest_complete
-        if shown is None:
-            raise InputError("no frame yet: wait for the first one")
-        folder = new_folder(self._output, "snapshot")
-        write_snapshot(folder, shown, self._camera)
-        return f"{folder}"
-
-    def _toggle_recording(self) -> str:
-        """Start or end the recording; return a line for the page."""
-        with self._lock:
-            if self._recording is not None:
-                return self._end_recording()
-            self._output.mkdir(parents=True, exist_ok=True)
-            self._recording = Recording(new_folder(self._output, "recording"), self._camera)
-            return f"recording to {self._recording.path}"
-
-    def _end_recording(self) -> str:
-        recording, self._recording = self._recording, None
-        if recording is None:
-            return ""
-        recording.close()
-        return f"{recording.path}: {recording.count} frames"
+def _decode(text: str) -> dict[str, Any]:
+    """Request of a page; an `InputError` if it is none."""
+    try:
+        wanted = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"request: no JSON: {short(text)}") from error
+    if not isinstance(wanted, dict):
+        raise InputError(f"request: expected an object, got {short(wanted)}")
+    return wanted

@@ -3,7 +3,9 @@
 import asyncio
 import dataclasses
 import logging
+import os
 import secrets
+import signal
 import socket
 import webbrowser
 from pathlib import Path
@@ -25,10 +27,12 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
-from coded_aperture_ros.sources import PictureSource, open_source
+from coded_aperture_ros.sources import PictureSource, check_source, open_source
+from coded_aperture_viewer.guard import Gate, request_logger
+from coded_aperture_viewer.keeping import Keeping
 from coded_aperture_viewer.live import Live
 from coded_aperture_viewer.server import Server
-from coded_aperture_viewer.settings import LookConfig, Settings
+from coded_aperture_viewer.settings import LookConfig, RunConfig, Settings
 
 _DEMO_CAMERA = "demo_camera.yaml"
 # Depth range of the simulated scene, m.
@@ -37,7 +41,7 @@ _LOCAL = "127.0.0.1"
 # Standard deviation of the simulated sensor's noise, linear light.
 _SIMULATED_NOISE = 0.002
 # Connections to pages that do not end by themselves are closed after so long, s.
-_SHUTDOWN_TIMEOUT_S = 2.0
+_SHUTDOWN_TIMEOUT_S = 0.5
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -65,6 +69,8 @@ class Options:
     pixels : PixelFormat
         Of the frames.
     depth : DepthConfig
+    read_only : bool
+        Whether pages change nothing but what they display themselves.
     """
 
     source: str
@@ -78,6 +84,7 @@ class Options:
     browser: bool
     pixels: PixelFormat
     depth: DepthConfig
+    read_only: bool = False
 
 
 def show(options: Options) -> None:
@@ -92,37 +99,51 @@ def show(options: Options) -> None:
         print(f"coded_aperture: the viewer is at {page} (Ctrl-C ends it)", flush=True)
         if options.browser:
             webbrowser.open(page)
-        asyncio.run(_serve(server.application(), listening))
+        asyncio.run(_serve(server, listening))
 
 
 def make_server(options: Options) -> tuple[Server, str]:
     """Server, and the token in the address of its page; empty if only this machine may ask."""
     path = options.camera or share_directory() / "config" / _DEMO_CAMERA
+    check_source(options.source)  # before anything else is read: it is named first
     camera = load_camera(path)
-    depth_range = options.depth_range
-    if options.camera is None and options.bank is None:
-        depth_range = depth_range or _DEMO_RANGE_M
-    with naming(str(path)):
-        if options.bank is not None:
-            bank = load_bank(options.bank)
-            camera = check_setting(bank, camera)
-        elif depth_range is not None:
-            near_m, far_m = depth_range
-            logging.warning("learning a bank for %s, %g to %g m", path, near_m, far_m)
-            bank = learn_bank_for_camera(camera, near_m, far_m, DEFAULT_LEVEL_COUNT)
-        else:
-            raise InputError("no depth range: give --depth-range NEAR FAR or --bank FILE")
-        deblur = DeblurConfig()
-        pipeline = FramePipeline(bank, camera, options.depth, deblur)
-    near_m, far_m = depth_range or _depth_range(bank, camera)
+    bank, camera, (near_m, far_m) = _bank(options, path, camera)
     source = open_source(options.source, camera, options.rate, noise=_SIMULATED_NOISE)
+    deblur = DeblurConfig()
+    with naming(str(path)):
+        pipeline = FramePipeline(bank, camera, options.depth, deblur)
     is_single = isinstance(source, PictureSource) and len(source.files) == 1
-    look = LookConfig(focus_m=(near_m + far_m) / 2, paused=is_single)
+    look = LookConfig(focus_m=(near_m + far_m) / 2)
+    settings = Settings(options.depth, deblur, RunConfig(paused=is_single), look)
     token = "" if options.host == _LOCAL else secrets.token_urlsafe(16)
-    server = Server(camera, (near_m, far_m), options.pixels.mosaic, options.output, token)
-    settings = Settings(options.depth, deblur, look)
+    keeping = Keeping(options.output, camera, options.pixels.mosaic)
+    server = Server(camera, (near_m, far_m), settings, keeping, token, options.read_only)
     server.live = Live(source, pipeline, settings, options.pixels, 1 / options.rate, server.show)
     return server, token
+
+
+def _bank(
+    options: Options, path: str | Path, camera: Camera
+) -> tuple[FilterBank, Camera, tuple[float, float]]:
+    """Bank of the options or learned, its camera, and the depth range of the colour scale, m."""
+    depth_range = options.depth_range
+    if options.bank is not None:
+        bank = load_bank(options.bank)
+        with naming(str(path)):
+            camera = check_setting(bank, camera)
+        return bank, camera, depth_range or _depth_range(bank, camera)
+    if options.camera is None:
+        depth_range = depth_range or _DEMO_RANGE_M
+    if depth_range is None:
+        raise InputError("no depth range: give --depth-range NEAR FAR or --bank FILE")
+    near_m, far_m = depth_range
+    logging.warning("learning a bank for %s, %g to %g m", path, near_m, far_m)
+    with naming(str(path)):
+        return (
+            learn_bank_for_camera(camera, near_m, far_m, DEFAULT_LEVEL_COUNT),
+            camera,
+            depth_range,
+        )
 
 
 def _depth_range(bank: FilterBank, camera: Camera) -> tuple[float, float]:
@@ -139,15 +160,39 @@ def _listening_socket(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except OSError as error:
         raise InputError(
-            f"cannot listen on {host}, port {port}: {error.strerror}: use another --port"
+            f"cannot listen on {host}, port {port}: {_reason(error)}: use another --port or --host"
         ) from error
 
 
-async def _serve(application: web.Application, listening: socket.socket) -> None:
-    runner = web.AppRunner(application, access_log=None)
+def _reason(error: OSError) -> str:
+    """What the system says; Python adds the address to it."""
+    is_system = isinstance(error.errno, int) and not isinstance(error, socket.gaierror)
+    return os.strerror(error.errno) if is_system else str(error.strerror)
+
+
+async def _serve(server: Server, listening: socket.socket) -> None:
+    """Serve until the program is told to end: Ctrl-C, SIGTERM, or the end of its terminal."""
+    loop = asyncio.get_running_loop()
+    ended = asyncio.Event()
+    for number in _ending_signals():
+        loop.add_signal_handler(number, ended.set)
+    runner = web.AppRunner(
+        server.application(),
+        access_log=None,
+        logger=request_logger(),
+        shutdown_timeout=_SHUTDOWN_TIMEOUT_S,
+    )
     await runner.setup()
+    assert runner.server is not None
+    accepting = await loop.create_server(Gate(runner.server, server.connections), sock=listening)
     try:
-        await web.SockSite(runner, listening, shutdown_timeout=_SHUTDOWN_TIMEOUT_S).start()
-        await asyncio.Event().wait()
+        await ended.wait()
     finally:
+        accepting.close()
         await runner.cleanup()
+
+
+def _ending_signals() -> list[signal.Signals]:
+    """Signals that end the viewer in order, beside Ctrl-C; what `nohup` ignores stays ignored."""
+    numbers = (signal.SIGTERM, signal.SIGHUP)
+    return [each for each in numbers if signal.getsignal(each) != signal.SIG_IGN]
