@@ -166,8 +166,9 @@ def _listening_socket(host: str, port: int) -> socket.socket:
 
 def _reason(error: OSError) -> str:
     """What the system says; Python adds the address to it."""
-    is_system = isinstance(error.errno, int) and not isinstance(error, socket.gaierror)
-    return os.strerror(error.errno) if is_system else str(error.strerror)
+    if error.errno is None or isinstance(error, socket.gaierror):
+        return str(error.strerror)
+    return os.strerror(error.errno)
 
 
 async def _serve(server: Server, listening: socket.socket) -> None:
