@@ -1,19 +1,24 @@
 """Progress callbacks, progress bars on a terminal, and the times of the parts of the work."""
 
+import os
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 # Progress callback: takes the steps of long work, and yields them one by one; `iter` shows nothing.
 Progress = Callable[[Iterable[Any]], Iterable[Any]]
 
 # Shorter work has no progress bar.
-_BAR_DELAY_S = 2
+_BAR_DELAY_S = 2.0
+_DEFAULT_COLUMNS = 80
 
 
 def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -> Iterable[Any]:
     """`items`, with a progress bar on stderr if that is a terminal; it appears after 2 s.
+
+    It does so during the first item, too: one item may take minutes.
 
     Parameters
     ----------
@@ -23,11 +28,29 @@ def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -
     unit : str
         Word for an item.
     """
-    if not sys.stderr.isatty():
-        return items
+    return _with_bar(items, total, unit) if sys.stderr.isatty() else items
+
+
+def _with_bar(items: Iterable[Any], total: int | None, unit: str) -> Iterator[Any]:
     from tqdm import tqdm
 
-    return tqdm(items, total=total, unit=unit, delay=_BAR_DELAY_S, leave=False)
+    # Terminals of containers and of programs may say that they have no columns; tqdm then fills
+    # none.
+    columns = os.get_terminal_size(sys.stderr.fileno()).columns or _DEFAULT_COLUMNS
+    with tqdm(items, total=total, unit=unit, delay=_BAR_DELAY_S, leave=False, ncols=columns) as bar:
+
+        def show() -> None:
+            bar.delay = 0  # a bar that has been shown is cleared at the end
+            bar.refresh()
+
+        # By itself tqdm shows no bar before the first item is done.
+        first = threading.Timer(_BAR_DELAY_S, show)
+        first.daemon = True
+        first.start()
+        try:
+            yield from bar
+        finally:
+            first.cancel()
 
 
 class LapTimer:
