@@ -13,6 +13,7 @@ Progress = Callable[[Iterable[Any]], Iterable[Any]]
 # Shorter work has no progress bar.
 _BAR_DELAY_S = 2.0
 _DEFAULT_COLUMNS = 80
+_DEFAULT_LINES = 24
 
 
 def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -> Iterable[Any]:
@@ -34,10 +35,18 @@ def progress(items: Iterable[Any], total: int | None = None, unit: str = "it") -
 def _with_bar(items: Iterable[Any], total: int | None, unit: str) -> Iterator[Any]:
     from tqdm import tqdm
 
-    # Terminals of containers and of programs may say that they have no columns; tqdm then fills
-    # none.
-    columns = os.get_terminal_size(sys.stderr.fileno()).columns or _DEFAULT_COLUMNS
-    with tqdm(items, total=total, unit=unit, delay=_BAR_DELAY_S, leave=False, ncols=columns) as bar:
+    # Terminals of containers and of programs may say that they have no lines and no columns; tqdm
+    # then shows nothing.
+    size = os.get_terminal_size(sys.stderr.fileno())
+    with tqdm(
+        items,
+        total=total,
+        unit=unit,
+        delay=_BAR_DELAY_S,
+        leave=False,
+        ncols=size.columns or _DEFAULT_COLUMNS,
+        nrows=size.lines or _DEFAULT_LINES,
+    ) as bar:
 
         def show() -> None:
             bar.delay = 0  # a bar that has been shown is cleared at the end

@@ -23,9 +23,9 @@ def terminal(monkeypatch):
     monkeypatch.setattr(module, "_BAR_DELAY_S", DELAY_S)
     shown, threads = [], []
 
-    def opened(columns):
+    def opened(columns, rows=24):
         main, side = pty.openpty()
-        fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
+        fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
         stream = os.fdopen(side, "w")
         monkeypatch.setattr(sys, "stderr", stream)
 
@@ -50,9 +50,9 @@ def terminal(monkeypatch):
     return opened
 
 
-@pytest.mark.parametrize("columns", [0, 80, 200])
-def test_a_bar_appears_while_the_first_item_is_at_work(terminal, columns):
-    closed = terminal(columns)
+@pytest.mark.parametrize("size", [(0, 0), (0, 24), (80, 0), (80, 24), (200, 50)])
+def test_a_bar_appears_while_the_first_item_is_at_work(terminal, size):
+    closed = terminal(*size)
     for _ in progress([1], unit="round"):
         time.sleep(5 * DELAY_S)
     text = closed()
