@@ -32,6 +32,8 @@ def few_steps(monkeypatch):
     for name in ("_FIRST_STEPS", "_COARSE_STEPS", "_FINE_STEPS", "_SINGLE_STEPS"):
         monkeypatch.setattr(f"coded_aperture_ros.calibration.planes.search.{name}", 1)
     monkeypatch.setattr("coded_aperture_ros.calibration.mask.cells._STARTS", 4)
+    # One step does not even find the side of the focus, by which the order is judged.
+    monkeypatch.setattr("coded_aperture_ros.calibration.planes.order._MIN_PLANES", 99)
 
 
 def folder_of(tmp_path, entries=None, **pictures):

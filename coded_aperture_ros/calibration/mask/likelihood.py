@@ -3,7 +3,9 @@
 It is that of the filter bank's costs, with textures that are more flexible than power laws.
 """
 
+import copy
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,16 +86,31 @@ class MaskLikelihood:
         expected = self.spectra.expected(parts, sizes_px[:, chosen].ravel()).power
         for column in range(expected.shape[1]):
             guess, plane = divmod(column, len(chosen))
-            costs = self._costs(chosen[plane], expected[:, column], log_noise)
+            costs = self._costs(chosen[plane], expected[:, column], log_noise[chosen[plane]])
             scores[guess] += costs.min(axis=1).mean() / len(chosen)
         return scores
+
+    def plane_scores(
+        self, plane: int, parts: NDArray, sizes_px: NDArray, log_noise: float
+    ) -> DoubleArray:
+        """Score of a plane by itself for several estimates of its blur size [guesses]."""
+        expected = self.spectra.expected(parts, sizes_px).power
+        costs = (self._costs(plane, power, log_noise) for power in np.moveaxis(expected, 1, 0))
+        return np.array([each.min(axis=1).mean() for each in costs])
+
+    def of_planes(self, planes: Sequence[int]) -> "MaskLikelihood":
+        """Likelihood of some of the planes."""
+        some = copy.copy(self)
+        some.powers = [self.powers[plane] for plane in planes]
+        some.first_log_noise = self.first_log_noise[list(planes)]
+        return some
 
     def group(self, parts: NDArray, sizes_px: NDArray, log_noise: NDArray) -> Groups:
         """Groups of windows with the same best hypothesis, averaged."""
         expected = self.spectra.expected(parts, sizes_px).power
         found = []
         for i, powers in enumerate(self.powers):
-            best = self._costs(i, expected[:, i], log_noise).argmin(axis=1)
+            best = self._costs(i, expected[:, i], log_noise[i]).argmin(axis=1)
             for hypothesis in np.unique(best):
                 members = best == hypothesis
                 contrast, slope = divmod(hypothesis, len(SLOPES))
@@ -104,9 +121,9 @@ class MaskLikelihood:
         groups = Groups(plane, slopes, count.astype(float), mean, textures)
         return self._with_own_textures(groups, expected, log_noise)
 
-    def _costs(self, plane: int, expected: NDArray, log_noise: NDArray) -> NDArray:
+    def _costs(self, plane: int, expected: NDArray, log_noise: float) -> NDArray:
         """Cost of every contrast and slope for a plane's windows [W, hypotheses]."""
-        variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise[plane])
+        variance = _CONTRASTS[:, None, None] * expected + np.exp(log_noise)
         weights = (self.multiplicity / variance).reshape(-1, variance.shape[-1])
         return self.powers[plane] @ weights.T + (np.log(variance) @ self.multiplicity).ravel()
 

@@ -29,6 +29,7 @@ from coded_aperture_ros.calibration.planes.checks import (
 )
 from coded_aperture_ros.calibration.planes.fit import LeaveOneOut, fit_signed_lens, leave_one_out
 from coded_aperture_ros.calibration.planes.measure import MeasuredPlane, measure_planes
+from coded_aperture_ros.calibration.planes.order import exchange_gains, refuse_exchanged
 from coded_aperture_ros.calibration.planes.pictures import Planes
 from coded_aperture_ros.calibration.planes.search import LensFit, MaskSearch, learned_pattern
 from coded_aperture_ros.core.errors import InputError
@@ -108,8 +109,8 @@ def calibrate_planes(
     Raises
     ------
     InputError
-        With the picture and what to do: no texture, wrong depths, planes on both sides of the
-        focus, a depth range far beyond the planes.
+        With the picture and what to do: no texture, wrong or exchanged depths, planes on both sides
+        of the focus, a depth range far beyond the planes.
 
     References
     ----------
@@ -131,6 +132,7 @@ def calibrate_planes(
     grid = learned_pattern(mixture, part, mixture.sizes.extent_px, width)
     measured = measure_planes(planes, grid, config)
     fit = fit_signed_lens(planes, measured)
+    refuse_exchanged(planes, exchange_gains(search, mixture))
     found_mask, extent_px, known = _mask(search, mixture, mask)
     scale = extent_px / mixture.sizes.extent_px
     measured = [plane.scaled(scale) for plane in measured]
@@ -186,7 +188,8 @@ def learn_bank_from_planes(
     Raises
     ------
     InputError
-        If a plane has no texture above its noise, or is smaller than the window.
+        If a plane has no texture above its noise, or is smaller than the window, or if neighbours
+        seem to be swapped.
 
     Examples
     --------
@@ -198,6 +201,7 @@ def learn_bank_from_planes(
     check_pictures(planes.images, planes.names, config.window_px)
     search = MaskSearch(planes, config.window_px, progress)
     mixture = search.mixture()
+    refuse_exchanged(planes, exchange_gains(search, mixture))
     pattern = learned_pattern(mixture, *search.single(mixture), planes.images[0].shape[1])
     wanted = _depth_range(planes)
     learned_from = _learned_from(planes, pattern)

@@ -1,6 +1,7 @@
 """Checks of pictures of planes before learning: light, noise, texture."""
 
 import dataclasses
+import hashlib
 import math
 from collections.abc import Iterator, Sequence
 
@@ -57,6 +58,7 @@ def check_pictures(
 
     Raises `InputError` with every picture that cannot be used, and what to do.
     """
+    _refuse_repeated(images, names)
     depths = np.broadcast_to(np.asarray(depths_m, np.float64), len(images))
     checks = [
         _check(image, name, float(depth), window_px)
@@ -74,6 +76,19 @@ def check_pictures(
             "out planes so far from the focus that their texture is blurred away"
         )
     return checks
+
+
+def _refuse_repeated(images: Sequence[FloatArray], names: Sequence[str]) -> None:
+    """Raise `InputError` with two pictures that are the same: one of them has a wrong depth."""
+    seen: dict[bytes, str] = {}
+    for image, name in zip(images, names, strict=True):
+        digest = hashlib.sha256(np.ascontiguousarray(image)).digest()
+        if digest in seen:
+            raise InputError(
+                f"{seen[digest]} and {name}: the same picture is listed with two depths: keep one "
+                "of them, or take the other again"
+            )
+        seen[digest] = name
 
 
 def _check(image: FloatArray, name: str, depth_m: float, window_px: int) -> PlaneCheck:

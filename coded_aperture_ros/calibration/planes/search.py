@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+from collections.abc import Collection
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,7 @@ _FIRST_STEPS = 12
 _COARSE_STEPS = 18
 _FINE_STEPS = 100
 _FINE_ROUNDS = 3
+_LEFT_OUT_STEPS = 50
 # Of the first guesses so many are worth more than the first steps.
 _N_REFINED = 3
 _NEAREST_TO_FOCUS = (0.03, 0.15, 0.35, 0.6)
@@ -87,6 +89,26 @@ class MaskSearch:
             LensSizes(near_ratio, sign, extent_px, self.inverse_depths),
             self.likelihood.first_log_noise,
         )
+
+    def without(self, left_out: Collection[int], mixture: LensFit) -> LensFit:
+        """Likeliest mask, as a mixture, and focus by the planes that are not left out.
+
+        Random masks to start from: the cells of the `mixture` of all planes are theirs, too.
+        """
+        kept = [plane for plane in range(len(mixture.sizes_px)) if plane not in left_out]
+        sizes_px = mixture.sizes_px[kept]
+        extent_px = float(sizes_px.max())
+        start = MaskFit(
+            random_parts(_FINE_PARTS, round(extent_px / _FINE_CELL_PX)),
+            LensSizes(
+                float(sizes_px.min()) / extent_px,
+                mixture.sizes.sign,
+                extent_px,
+                mixture.sizes.inverse_depths[kept],
+            ),
+            mixture.log_noise[kept],
+        )
+        return start.optimise(self.likelihood.of_planes(kept), _LEFT_OUT_STEPS)
 
     def single(self, mixture: LensFit) -> tuple[Mask, float]:
         """Likeliest single mask near a mixture, and its extent at the most blurred plane, px.
