@@ -50,7 +50,7 @@ class Arguments(GammaArguments):
         written="--output DIR",
     )
     bank: str | None = argument(
-        "bank (.npz) from the least to the largest blur", None, written="-o FILE"
+        "bank (.npz) from the least to the largest blur", None, written="-o FILE", is_output=True
     )
     level_count: int = argument(
         "levels of the bank", _LEVEL_COUNT, written="--level-count N", minimum=2

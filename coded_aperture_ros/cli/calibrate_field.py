@@ -49,15 +49,22 @@ class Arguments(PlanesArguments):
         False,
     )
     picture: str | None = argument(
-        "with --psfs: draw the PSFs of the parts of the image", None, written="--picture PNG"
+        "with --psfs: draw the PSFs of the parts of the image",
+        None,
+        written="--picture PNG",
+        is_output=True,
     )
     report: str | None = argument(
         "page with blur, as measured and predicted, and errors by plane and radius, and PSFs",
         None,
         written="--report HTML",
+        is_output=True,
     )
     output: Path | None = argument(
-        "camera file to write: as it was, with what was found", None, written="-o --output YAML"
+        "camera file to write: as it was, with what was found",
+        None,
+        written="-o --output YAML",
+        is_output=True,
     )
     json: bool = argument("print the numbers as JSON", False)
 

@@ -86,7 +86,7 @@ class Arguments(PlanesArguments):
     timeout: float = argument(
         "with --topic: longest wait for the frames", 10.0, written="--timeout S", unit="s", above=0
     )
-    bank: str | None = argument("bank (.npz)", None, written="-o FILE")
+    bank: str | None = argument("bank (.npz)", None, written="-o FILE", is_output=True)
     output: Path | None = argument(
         f"folder for {_REPORT} and, with --camera, {_CAMERA}", None, written="--output DIR"
     )

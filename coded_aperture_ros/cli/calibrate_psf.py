@@ -68,9 +68,9 @@ class Arguments(GammaArguments):
     level_count: int | None = argument(
         "PSFs to write (default: one for each picture)", None, written="--level-count N", minimum=1
     )
-    output: str = argument("PSF stack (.npz)", written="-o --output FILE")
+    output: str = argument("PSF stack (.npz)", written="-o --output FILE", is_output=True)
     picture: str | None = argument(
-        "picture of the measured PSFs to write", None, written="--picture PNG"
+        "picture of the measured PSFs to write", None, written="--picture PNG", is_output=True
     )
     json: bool = argument("print the numbers as JSON", False)
 

@@ -45,6 +45,7 @@ class Arguments(PixelArguments):
         "camera file to write, with the mask beside it where it has changed",
         None,
         written="-o --output YAML",
+        is_output=True,
     )
     json: bool = argument("print the numbers as JSON", False)
 

@@ -37,7 +37,7 @@ class Arguments:
     depth_range: tuple[float, float] = argument(
         "where the blur has to be right, in m", written="--depth-range NEAR FAR"
     )
-    output: Path = argument("camera file to write", written="-o --output YAML")
+    output: Path = argument("camera file to write", written="-o --output YAML", is_output=True)
     json: bool = argument("print the numbers as JSON", False)
 
 

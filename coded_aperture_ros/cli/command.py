@@ -56,6 +56,9 @@ class Argument(Option):
     # a positional argument. Empty: the name of the field.
     written: str = ""
     parse: Callable[[str], Any] | None = None  # reads a word; None: the field's type does
+    # Whether it names a file to write, or a folder. The folder of a file must be there, or the
+    # command gets `--parents`; folders for results are made.
+    is_output: bool = False
 
 
 _REQUIRED: Any = dataclasses.MISSING

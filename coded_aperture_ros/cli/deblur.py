@@ -54,7 +54,9 @@ class Arguments(InputArguments, CameraArguments):
     """Arguments of `deblur`."""
 
     output: str = argument(
-        "all-in-focus picture, or a folder for one .png per frame", written="-o --output OUT"
+        "all-in-focus picture, or a folder for one .png per frame",
+        written="-o --output OUT",
+        is_output=True,
     )
     bank: str = argument("filter bank, see learn", written="--bank NPZ")
     depth: str = argument(

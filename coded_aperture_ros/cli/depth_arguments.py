@@ -36,6 +36,7 @@ class Arguments(InputArguments, EstimationArguments):
     output: str = argument(
         "depth map: .npy or .tiff in m, .png in mm; or a folder for one .npy per frame",
         written="-o --output OUT",
+        is_output=True,
     )
     motion: bool = argument(
         "estimate motion blur too, with --method bank: x.motion.npy beside x.npy has the way "
@@ -76,6 +77,7 @@ class Arguments(InputArguments, EstimationArguments):
         "write a video of the frames beside their depth too, 10 a second",
         None,
         written="--movie FILE.mp4",
+        is_output=True,
     )
     points: bool = argument("write coloured points (x.ply) too; needs --camera", False)
     frame_scale: float = argument(

@@ -113,7 +113,7 @@ class Arguments(GammaArguments):
         written="--level-count N",
         minimum=2,
     )
-    output: str = argument("bank (.npz)", written="-o --output FILE")
+    output: str = argument("bank (.npz)", written="-o --output FILE", is_output=True)
     json: bool = argument("print a summary as JSON", False)
     filters: LearnConfig = group("filters", LearnConfig())
 

@@ -71,7 +71,9 @@ class Arguments:
         minimum=0,
     )
     label: str = argument("a line to print on the page", "", written="--label TEXT")
-    output: str = argument("page to write (.pdf, .svg or .dxf)", written="-o --output FILE")
+    output: str = argument(
+        "page to write (.pdf, .svg or .dxf)", written="-o --output FILE", is_output=True
+    )
     json: bool = argument("print a summary as JSON", False)
 
 

@@ -50,12 +50,16 @@ class Arguments:
     """Arguments of `mask search`."""
 
     output: str | None = argument(
-        "picture of the best mask to write (.png or .npy)", None, written="-o --output FILE"
+        "picture of the best mask to write (.png or .npy)",
+        None,
+        written="-o --output FILE",
+        is_output=True,
     )
     checkpoint: Path | None = argument(
         "file that the search is saved to after every round, and goes on from",
         None,
         written="--checkpoint NPZ",
+        is_output=True,
     )
     scheduler: str | None = argument(
         "Dask scheduler whose workers share the search, instead of processes here",

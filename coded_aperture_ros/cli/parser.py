@@ -7,6 +7,7 @@ import textwrap
 import types
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from coded_aperture_ros.cli.command import Argument, Command, UsageError, did_you_mean
@@ -16,6 +17,8 @@ from coded_aperture_ros.core.options import Option, check_option
 
 Arguments = TypeVar("Arguments")
 
+# Option of every command that writes files; no field of its arguments.
+_PARENTS = "parents"
 _MORE = "'--help-all' shows all {count} options."
 
 
@@ -109,6 +112,8 @@ def parsed(command: Command[Arguments], program: str, words: Sequence[str]) -> A
     ------
     UsageError
         If they cannot be read, or do not go together.
+    InputError
+        If the folder of an output file does not exist, and ``--parents`` is not given.
     SystemExit
         With status 0, after the help was printed.
     """
@@ -116,6 +121,8 @@ def parsed(command: Command[Arguments], program: str, words: Sequence[str]) -> A
     parser.refuse_unknown(words)
     given = vars(parser.parse_args(words))
     fields = fields_of(command.arguments)
+    if not given.pop(_PARENTS, False):
+        _check_folders(fields, given)
     settings = {
         field.path: Setting(field.flag, given.get(field.path, field.default), field.default)
         for field in fields
@@ -123,6 +130,22 @@ def parsed(command: Command[Arguments], program: str, words: Sequence[str]) -> A
     for message in broken(command.rules, settings):
         raise UsageError(message)
     return _built(command.arguments, None, given, "", {one.path: one.flag for one in fields})
+
+
+def _check_folders(fields: Sequence[Field], given: Mapping[str, Any]) -> None:
+    for field in fields:
+        value = given.get(field.path)
+        if value is None or not getattr(field.option, "is_output", False):
+            continue
+        # As `frames.Outputs` tells a file from a folder.
+        path = Path(value)
+        is_folder = str(value).endswith("/") or not path.suffix or path.is_dir()
+        existing = next((each for each in path.parents if each.exists()), path.parent)
+        # That a file has the name of a folder is told by `check_output`.
+        if not is_folder and existing.is_dir() and existing != path.parent:
+            raise InputError(
+                f"cannot write {path}: there is no folder {path.parent}: make it, or add --parents"
+            )
 
 
 def _built(arguments: Any, default: Any, given: Mapping[str, Any], path: str, flags: Any) -> Any:
@@ -210,6 +233,9 @@ def make_parser(command: Command[Any], program: str, *, everything: bool = False
         if field.title not in groups:
             groups[field.title] = parser.add_argument_group(field.title)
         _add(groups[field.title], field, everything)
+    if any(getattr(field.option, "is_output", False) for field in fields):
+        what = "make the folders of output files"
+        parser.add_argument("--parents", dest=_PARENTS, action="store_true", help=what)
     parser.add_argument("-h", "--help", action="help", help="show this help, and end")
     if hidden or everything:
         what = "show every option, and end"

@@ -69,7 +69,7 @@ class Arguments(GammaArguments):
         None,
         written="--depth FILE",
     )
-    output: str = argument("coded frame", written="-o --output FILE")
+    output: str = argument("coded frame", written="-o --output FILE", is_output=True)
     scene: RandomArguments = group("a random scene instead (needs numba)", RandomArguments())
     noise: float = argument(
         "standard deviation, 1 = full scale", 0.0, written="--noise S", minimum=0, maximum=1

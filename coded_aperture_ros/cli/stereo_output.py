@@ -32,10 +32,16 @@ class StereoArguments:
     """Options of 3D pictures."""
 
     anaglyph: str | None = argument(
-        "write a picture for red-cyan glasses, red on the left", None, written="--anaglyph FILE"
+        "write a picture for red-cyan glasses, red on the left",
+        None,
+        written="--anaglyph FILE",
+        is_output=True,
     )
     stereo: str | None = argument(
-        "write the views of both eyes side by side, left on left", None, written="--stereo FILE"
+        "write the views of both eyes side by side, left on left",
+        None,
+        written="--stereo FILE",
+        is_output=True,
     )
     parallax: float | None = argument(
         "largest distance between the two views of a point; several frames share the scale of the "

@@ -46,7 +46,8 @@ def folder(made, tmp_path, monkeypatch):
 
 def test_from_dots_to_a_stack_and_a_bank(folder, capsys):
     given = ("calibrate", "psf", *DEPTHS, "--camera", "camera.yaml", "--level-count", 3)
-    result = call(capsys, *given, "-o", "new/psfs.npz", "--picture", "psfs.png", "--json")
+    output = ("-o", "new/psfs.npz", "--parents", "--picture", "psfs.png")
+    result = call(capsys, *given, *output, "--json")
     assert (result.status, result.err) == (0, "")
     summary = json.loads(result.out)
     camera = camera_from_mapping(CAMERA)

@@ -21,7 +21,7 @@ def test_from_a_camera(scene, tmp_path, capsys):
     result = call(
         capsys,
         *("learn", "--camera", scene.camera, "--depth-range", 1.5, 3, "--level-count", 5),
-        *(*SMALL, "-o", bank_file),
+        *(*SMALL, "-o", bank_file, "--parents"),
     )
     assert (result.status, result.err) == (0, "")
     assert result.out.startswith(f"{bank_file}: 5 levels, ")

@@ -326,3 +326,72 @@ def test_only_the_module_of_the_command_is_loaded(tmp_path):
     loaded = {name.rpartition(".")[2] for name in output.splitlines()[-1].split()}
     assert "mask_print" in loaded
     assert not loaded & {"learn", "design", "simulate", "depth", "demo", "sample", "check", "bag"}
+
+
+# ---- folders of output files ----
+
+
+def is_output(field):
+    """Whether an option names a file to write."""
+    return getattr(field.option, "is_output", False)
+
+
+def written_by(*words):
+    """Options of a command that names of files to write follow."""
+    return {
+        one.flag for one in command_fields(LOADED[words]) if getattr(one.option, "is_output", False)
+    }
+
+
+def test_every_output_is_known_as_one():
+    """`-o` is an output file, or its help says that it is a folder, or the name of a bag."""
+    for words, command in LOADED.items():
+        for one in command_fields(command):
+            if "-o" in one.names and not is_output(one):
+                assert "folder" in one.option.description, words
+    assert written_by("depth") == {"--output", "--movie"}
+    assert written_by("deblur") == {"--output", "--anaglyph", "--stereo"}
+    assert written_by("calibrate", "field") == {"--output", "--report", "--picture"}
+    assert written_by("calibrate", "psf") == {"--output", "--picture"}
+    assert written_by("mask", "search") == {"--output", "--checkpoint"}
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("learn", "--mask", "levin", "--blur-sizes", 3, 9, 4, "-o"),
+        ("depth", "a.png", "--bank", "b.npz", "-o"),
+        ("depth", "a.png", "--bank", "b.npz", "-o", "here.npy", "--movie"),
+        ("deblur", "a.png", "--bank", "b.npz", "--depth", "auto", "-o", "here", "--stereo"),
+        ("simulate", "--random", 1, "-o"),
+        ("mask", "print", "levin", "--extent-mm", 9, "-o"),
+        ("calibrate", "planes", "planes", "-o"),
+        ("calibrate", "field", "planes", "--camera", "c.yaml", "-o"),
+        ("calibrate", "trace", "lens.yaml", "--camera", "c", "--depth-range", 1, 2, "-o"),
+    ],
+    ids=lambda words: " ".join(map(str, (*words[:2], words[-1]))),
+)
+def test_the_folder_of_an_output_file_has_to_be_there(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"no folder new.deeper: make it, or add --parents") as no:
+        parsed(*words, "new/deeper/x.npz")
+    assert str(no.value).startswith("cannot write new/deeper/x.npz: ")
+    parsed(*words, "new/deeper/x.npz", "--parents")
+    parsed(*words, "x.npz")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("output", ["new", "new/deeper", "new/deeper.v2/", "made.v2"])
+def test_folders_for_results_are_made(tmp_path, monkeypatch, output):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "made.v2").mkdir()
+    assert parsed("depth", "a.png", "--bank", "b.npz", "-o", output).output == output
+
+
+def test_nothing_is_computed_for_a_folder_that_does_not_exist(tmp_path, capsys):
+    words = ("learn", "--mask", "levin", "--blur-sizes", 3, 9, 4, "-o")
+    result = call(capsys, *words, tmp_path / "new" / "bank.npz")
+    assert (result.status, result.out) == (1, "")
+    assert result.err.count("\n") == 1
+    assert "there is no folder" in result.err
+    assert not list(tmp_path.iterdir())
