@@ -82,7 +82,7 @@ def _refuse_repeated(images: Sequence[FloatArray], names: Sequence[str]) -> None
     """Raise `InputError` with two pictures that are the same: one of them has a wrong depth."""
     seen: dict[bytes, str] = {}
     for image, name in zip(images, names, strict=True):
-        digest = hashlib.sha256(np.ascontiguousarray(image)).digest()
+        digest = hashlib.sha256(image.tobytes()).digest()
         if digest in seen:
             raise InputError(
                 f"{seen[digest]} and {name}: the same picture is listed with two depths: keep one "
