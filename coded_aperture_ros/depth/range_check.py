@@ -67,7 +67,8 @@ def range_complaint(depth_m: FloatArray, range_m: tuple[float, float]) -> str:
         f"{far_m:.3g} m: give them in metres"
     )
     values = {unit: known * factor for unit, factor in _UNITS.items()}
-    values["1/m (inverse depth)"] = 1 / known
+    with np.errstate(over="ignore"):  # of depths that are next to nothing
+        values["1/m (inverse depth)"] = 1 / known
     likely = [unit for unit, metres in values.items() if _share_within(metres, range_m) > _MOST]
     return f"{line}, they seem to be in {likely[0]}" if likely else line
 

@@ -65,8 +65,9 @@ def test_an_impossible_output_is_refused_before_anything_starts(tmp_path, capsys
 
 @pytest.mark.serial
 def test_a_short_demo(tmp_path):
-    process = start("--output", tmp_path / "out", "--seconds", 4, "--json")
-    out, err = output_of(process, 150)
+    seconds = math.ceil(scaled(4))  # all-in-focus frames are few on a busy machine
+    process = start("--output", tmp_path / "out", "--seconds", seconds, "--json")
+    out, err = output_of(process, 150 + seconds)
     assert process.returncode == 0, err
     summary = json.loads(out)
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == summary
@@ -77,7 +78,7 @@ def test_a_short_demo(tmp_path):
         entry = summary[name]
         assert entry["frames"] > 0, name
         assert 0 < entry["latency_median_s"] <= entry["latency_p99_s"] <= entry["latency_max_s"]
-        assert len(entry["frames_in_each_second"]) == 4
+        assert len(entry["frames_in_each_second"]) == seconds
         assert sum(entry["frames_in_each_second"]) <= entry["frames"]
     assert summary["depth"]["rejected"] == summary["deblur"]["rejected"] == 0
     assert summary["depth"]["median_relative_error"] < 0.05
