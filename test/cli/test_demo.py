@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 import os
 import re
 import signal
@@ -14,7 +15,7 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import call
-from waiting import output_of, wait_until
+from waiting import output_of, scaled, wait_until
 
 from coded_aperture_ros.cli import demo
 from coded_aperture_ros.core.errors import InputError
