@@ -12,12 +12,12 @@ import numpy as np
 from coded_aperture_ros.cli.command import Command, argument, group
 from coded_aperture_ros.cli.estimation import fit_camera
 from coded_aperture_ros.cli.estimation_arguments import CameraArguments
-from coded_aperture_ros.cli.frames import InputArguments, Outputs, SkippedInputs, named_frames
+from coded_aperture_ros.cli.frames import InputArguments, SkippedInputs, named_frames
 from coded_aperture_ros.cli.rules import needs, only_with
 from coded_aperture_ros.cli.stereo_output import StereoArguments, StereoOutput
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import output_set
+from coded_aperture_ros.core.files import Outputs, output_set
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig, Uncertainty, covers_frame
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, blur_sizes_px, check_depth_range

@@ -32,18 +32,16 @@ from coded_aperture_ros.cli.estimation import (
 from coded_aperture_ros.cli.frames import (
     InputsWithoutDepth,
     NamedFrame,
-    Outputs,
     SkippedInputs,
     named_frames,
 )
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import check_output, output_set
+from coded_aperture_ros.core.files import Outputs, check_output, output_set
 from coded_aperture_ros.core.text import rounded
-from coded_aperture_ros.depth import DepthEstimate, Health, LayerSpec, depth_range_m, layer_specs
+from coded_aperture_ros.depth import DepthEstimate, Health, depth_range_m
+from coded_aperture_ros.depth.files import estimate_files, write_estimate
 from coded_aperture_ros.depth.points import points_of_frame
-from coded_aperture_ros.io import write_depth
-from coded_aperture_ros.io.display import display_path, write_depth_for_display
 from coded_aperture_ros.io.movie_file import movie
 from coded_aperture_ros.io.points_file import write_points
 from coded_aperture_ros.likelihood.choose import filter_bank
@@ -59,8 +57,6 @@ _LOSSY = (
 )
 # What has moved by this much during the exposure counts as moving.
 _MOVING_PX = 0.5
-# Kinds of layers that say nothing without metres.
-_METRIC = ("depth", "bound", "share")
 # Each frame, what is estimated of it, and how long that took, s.
 Results = Iterator[tuple[NamedFrame, DepthEstimate, float]]
 
@@ -95,7 +91,7 @@ def run(args: Arguments) -> int:
     with shown as add_to_movie:
         frames = named_frames(args, outputs, skipped, camera)
         for named, estimate, seconds in _estimates(args, pipeline, camera, frames, skipped):
-            values = _depth_values(args, estimate)
+            values = estimate.depth_values(as_levels=args.as_levels)
             if args.pictures or add_to_movie is not None:
                 scale = depth_scale(pipeline.estimator, as_levels=args.as_levels)
             with output_set():
@@ -187,48 +183,16 @@ def _warn_if_lossy(video: Iterable[NamedFrame]) -> Iterator[NamedFrame]:
         yield named
 
 
-def _depth_values(args: Arguments, estimate: DepthEstimate) -> FloatArray:
-    """Depth in metres, or levels."""
-    if args.as_levels or estimate.depth_m is None:
-        return estimate.level
-    return estimate.depth_m
-
-
-def _file_beside(path: Path, name: str, *, exact: bool = False) -> Path:
-    """File of a map beside a depth map; a PNG cannot hold its floating values.
-
-    `exact`: of values that only an array can hold.
-    """
-    suffix = ".tiff" if path.suffix.lower() == ".png" else path.suffix
-    return path.with_suffix(f".{name}{'.npy' if exact else suffix}")
-
-
-def _layer_files(args: Arguments, path: Path) -> dict[str, Path]:
-    """File of each layer that there may be, by its name."""
-    specs = [spec for spec in layer_specs() if not (args.as_levels and spec.kind in _METRIC)]
-    vectors = {spec.name for spec in specs if spec.kind == "vector"}
-    return {spec.name: _layer_file(path, spec, vectors) for spec in specs}
-
-
-def _layer_file(path: Path, spec: LayerSpec, vectors: set[str]) -> Path:
-    exact = spec.name.partition("/")[0] in vectors
-    return _file_beside(path, spec.file_suffix.removeprefix("."), exact=exact)
-
-
 def _files_beside(args: Arguments, path: Path) -> list[Path]:
     """All files that belong to a depth map, and the map itself."""
-    files = [path, _file_beside(path, "confidence"), *_layer_files(args, path).values()]
-    if not args.as_levels:
-        files.append(_file_beside(path, "std_dev"))
+    files = estimate_files(path, metric=not args.as_levels)
     if args.pictures:
         files += picture_files(path)
-    elif path.suffix.lower() == ".png":
-        files.append(display_path(path))
     if args.truth:
         files.append(comparison_file(path))
     if args.points:
         files.append(path.with_suffix(".ply"))
-    return files
+    return list(dict.fromkeys(files))
 
 
 def _write(
@@ -240,15 +204,7 @@ def _write(
 ) -> None:
     """Write a depth map, and beside it everything else that was found."""
     path = named.output
-    write_depth(path, values)
-    write_depth(_file_beside(path, "confidence"), estimate.confidence)
-    if estimate.std_dev_m is not None and not args.as_levels:
-        write_depth(_file_beside(path, "std_dev"), estimate.std_dev_m)
-    for name, file in _layer_files(args, path).items():
-        if name in estimate.layers:
-            write_depth(file, estimate.layers[name].values)
-    if path.suffix.lower() == ".png" and not args.pictures:  # in mm, which viewers show black
-        write_depth_for_display(path, values)
+    write_estimate(path, estimate, values, metric=not args.as_levels)
     if args.points and camera is not None and named.capture is not None:
         light, model = named.frame.picture, named.capture.intrinsics(camera)
         write_points(path.with_suffix(".ply"), points_of_frame(estimate, light, model, args.gamma))

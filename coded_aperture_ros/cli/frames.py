@@ -6,7 +6,7 @@ import logging
 import re
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 from coded_aperture_ros.cli.command import argument
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.files import check_output
+from coded_aperture_ros.core.files import Outputs, check_output
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.depth import no_depth_reason
 from coded_aperture_ros.frames import Frame, PixelFormat
@@ -109,55 +109,6 @@ class InputsWithoutDepth:
             reason = no_depth_reason(self._causes[given], given in self._lossy)
             print(f"coded_aperture: error: {given}: no frame has depth: {reason}", file=sys.stderr)
         return int(bool(without))
-
-
-@dataclasses.dataclass(frozen=True)
-class Outputs:
-    """Where results go: to the output itself where it names a file, or else into a folder.
-
-    Attributes
-    ----------
-    output : str
-    suffix : str
-        Of the files in a folder, which are named like their frames.
-    suffixes : sequence of str
-        What the name of a single file may end in.
-    files : callable
-        From the path of a result to those of all files that belong to it.
-    read : sequence of Path
-        Files that the command reads beside its inputs: they must not be overwritten.
-    """
-
-    output: str
-    suffix: str
-    suffixes: Sequence[str]
-    files: Callable[[Path], Iterable[Path]]
-    read: Sequence[Path]
-
-    @property
-    def is_file(self) -> bool:
-        """Whether the output is a file, not a folder."""
-        path = Path(self.output)
-        return bool(path.suffix) and not self.output.endswith("/") and not path.is_dir()
-
-    def path(self, name: str) -> Path:
-        """Path of the result of a frame with a name."""
-        return Path(self.output) if self.is_file else Path(self.output, f"{name}{self.suffix}")
-
-    def check(self, total: int | None) -> None:
-        """Raise `InputError` if so many frames, None: not known, cannot go there."""
-        if not self.is_file:
-            return
-        if Path(self.output).suffix.lower() not in self.suffixes:
-            known = ", ".join(self.suffixes)
-            raise InputError(
-                f"{self.output}: unknown format, use {known}, or end a folder's name with /"
-            )
-        if total != 1:
-            raise InputError(
-                f"{self.output}: {'several' if total is None else total} frames do not fit into "
-                "one file, name a folder"
-            )
 
 
 def named_frames(

@@ -1,5 +1,6 @@
 """Output files: written whole or not at all, and checked before long work."""
 
+import dataclasses
 import errno
 import os
 import secrets
@@ -152,6 +153,55 @@ def temporary_folder(path: Path) -> Iterator[Path]:
             for parent in created:
                 with suppress(OSError):
                     parent.rmdir()
+
+
+@dataclasses.dataclass(frozen=True)
+class Outputs:
+    """Where results go: to the output itself where it names a file, or else into a folder.
+
+    Attributes
+    ----------
+    output : str
+    suffix : str
+        Of the files in a folder, which are named like their frames.
+    suffixes : sequence of str
+        What the name of a single file may end in.
+    files : callable
+        From the path of a result to those of all files that belong to it.
+    read : sequence of Path
+        Files that the command reads beside its inputs: they must not be overwritten.
+    """
+
+    output: str
+    suffix: str
+    suffixes: Sequence[str]
+    files: Callable[[Path], Iterable[Path]]
+    read: Sequence[Path]
+
+    @property
+    def is_file(self) -> bool:
+        """Whether the output is a file, not a folder."""
+        path = Path(self.output)
+        return bool(path.suffix) and not self.output.endswith("/") and not path.is_dir()
+
+    def path(self, name: str) -> Path:
+        """Path of the result of a frame with a name."""
+        return Path(self.output) if self.is_file else Path(self.output, f"{name}{self.suffix}")
+
+    def check(self, total: int | None) -> None:
+        """Raise `InputError` if so many frames, None: not known, cannot go there."""
+        if not self.is_file:
+            return
+        if Path(self.output).suffix.lower() not in self.suffixes:
+            known = ", ".join(self.suffixes)
+            raise InputError(
+                f"{self.output}: unknown format, use {known}, or end a folder's name with /"
+            )
+        if total != 1:
+            raise InputError(
+                f"{self.output}: {'several' if total is None else total} frames do not fit into "
+                "one file, name a folder"
+            )
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:

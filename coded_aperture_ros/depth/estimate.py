@@ -72,6 +72,10 @@ class DepthEstimate:
     stamp_ns: int | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
+    def depth_values(self, *, as_levels: bool = False) -> FloatArray:
+        """Depth in metres, or, where that is not known or not wanted, levels [rows, columns]."""
+        return self.level if as_levels or self.depth_m is None else self.depth_m
+
     def values(self, layer: str) -> FloatArray | None:
         """Values of a layer, float32 [rows, columns(, 2)]; None if it was not found."""
         return self.layers[layer].values if layer in self.layers else None

@@ -12,7 +12,7 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.frames.frame import PixelFormat
 from coded_aperture_ros.frames.light import Gamma, check_linear, pixels_from_linear
-from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture, quantisation_sigma
+from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
@@ -117,7 +117,7 @@ def read_compressed(path: str | os.PathLike[str]) -> tuple[NDArray, float]:
         return pixels.astype(np.float32, copy=False), 0.0
     if pixels.dtype not in (np.uint8, np.uint16):
         raise InputError(f"{path}: expected 8-bit, 16-bit or float pixels, got {pixels.dtype}")
-    return _with_usual_white(pixels, stored.white), quantisation_sigma(data)
+    return _with_usual_white(pixels, stored.white), stored.compression_loss
 
 
 def _with_usual_white(pixels: NDArray, white: int) -> NDArray:

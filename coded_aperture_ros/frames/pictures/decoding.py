@@ -1,20 +1,29 @@
 """Pixels of picture files and compressed messages, as the sensor's rows and columns stored them."""
 
 import dataclasses
+import re
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames.pictures.jpeg import is_damaged_jpeg, is_jpeg
-from coded_aperture_ros.frames.pictures.png import check_png, is_png
-from coded_aperture_ros.frames.pictures.pnm import is_pnm, read_pnm
-from coded_aperture_ros.frames.pictures.tiff import is_tiff, readable_tiff
+from coded_aperture_ros.frames.pictures.jpeg import is_damaged_jpeg, quantisation_sigma
+from coded_aperture_ros.frames.pictures.png import check_png
+from coded_aperture_ros.frames.pictures.pnm import read_pnm
+from coded_aperture_ros.frames.pictures.tiff import readable_tiff
 
 # Without EXIF's rotation: a rotated picture would not match the mask.
 _AS_STORED = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
 _NO_PICTURE = "not a picture, or truncated"
+# How files of the formats begin that OpenCV does not read as they are stored, or not safely.
+_FORMATS = {
+    "jpeg": rb"\xff\xd8\xff",
+    "png": rb"\x89PNG\r\n\x1a\n",
+    "tiff": rb"II[*+]\0|MM\0[*+]",
+    "netpbm": rb"P[1-7fF][\s#]",
+    "animation": rb"GIF8|RIFF.{4}WEBP.{0,60}ANIM",
+}
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -27,10 +36,13 @@ class StoredPicture:
         In native byte order, without alpha.
     white : int
         Largest value of integers: that of their type, or that which the file names; 1 of floats.
+    compression_loss : float
+        See `quantisation_sigma`.
     """
 
     pixels: NDArray
     white: int
+    compression_loss: float = 0.0
 
 
 def decode_picture(data: bytes | memoryview) -> StoredPicture:
@@ -59,20 +71,27 @@ def decode_picture(data: bytes | memoryview) -> StoredPicture:
     coded_aperture_ros.core.errors.InputError: not a picture, or truncated
     """
     data = bytes(data)
-    if is_pnm(data):
+    kind = _format(data)
+    if kind == "netpbm":
         return StoredPicture(*read_pnm(data))
-    if is_tiff(data):
-        pixels = _tiff_pixels(data)
-    else:
-        if is_png(data):
-            check_png(data)
-        elif data[:4] == b"GIF8" or (data[8:12] == b"WEBP" and data[12:].find(b"ANIM", 0, 64) >= 0):
-            raise InputError("an animation, expected one picture: write each frame into a file")
-        # Before decoding, in which libjpeg would print what it makes up.
-        elif is_jpeg(data) and is_damaged_jpeg(data):
-            raise InputError("truncated or damaged: a part of the JPEG is missing or wrong")
-        pixels = _decoded(data)
-    return StoredPicture(pixels, np.iinfo(pixels.dtype).max if pixels.dtype.kind in "ui" else 1)
+    if kind == "animation":
+        raise InputError("an animation, expected one picture: write each frame into a file")
+    if kind == "png":
+        check_png(data)
+    # Before decoding, in which libjpeg would print what it makes up.
+    if kind == "jpeg" and is_damaged_jpeg(data):
+        raise InputError("truncated or damaged: a part of the JPEG is missing or wrong")
+    pixels = _tiff_pixels(data) if kind == "tiff" else _decoded(data)
+    white = np.iinfo(pixels.dtype).max if pixels.dtype.kind in "ui" else 1
+    return StoredPicture(pixels, white, quantisation_sigma(data) if kind == "jpeg" else 0.0)
+
+
+def _format(data: bytes) -> str:
+    """One of `_FORMATS`; empty for another one."""
+    for kind, start in _FORMATS.items():
+        if re.match(start, data, re.DOTALL):
+            return kind
+    return ""
 
 
 def _decoded(data: bytes) -> NDArray:

@@ -68,17 +68,6 @@ class _Frame:
     scanned: set[int] = dataclasses.field(default_factory=set)
 
 
-def is_jpeg(data: bytes) -> bool:
-    r"""Whether data begin as a JPEG file does.
-
-    Examples
-    --------
-    >>> is_jpeg(b"\xff\xd8\xff\xe0")
-    True
-    """
-    return data.startswith(_START)
-
-
 def is_damaged_jpeg(data: bytes) -> bool:
     """Whether a part of the picture is missing or is not what an encoder wrote.
 
@@ -119,7 +108,7 @@ def quantisation_sigma(data: bytes) -> float:
 
     It is a third of the rounding of the median luminance coefficient.
     """
-    if not is_jpeg(data):
+    if not data.startswith(_START):
         return 0.0
     frame = _Frame()
     try:

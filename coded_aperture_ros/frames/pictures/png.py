@@ -11,17 +11,6 @@ _END = b"IEND"
 _ANIMATION = b"acTL"
 
 
-def is_png(data: bytes) -> bool:
-    r"""Whether data begin as a PNG file does.
-
-    Examples
-    --------
-    >>> is_png(b"\x89PNG\r\n\x1a\n")
-    True
-    """
-    return data.startswith(_SIGNATURE)
-
-
 def check_png(data: bytes) -> None:
     """Raise `InputError` if chunks are missing or damaged, or there are several frames.
 

@@ -21,17 +21,6 @@ _MAX_VALUE = 65535
 _WITHOUT_ALPHA = {1: 1, 2: 1, 3: 3, 4: 3}
 
 
-def is_pnm(data: bytes) -> bool:
-    r"""Whether data begin as a Netpbm or PFM file does.
-
-    Examples
-    --------
-    >>> is_pnm(b"P5 2 1 255 ab"), is_pnm(b"P9 2 1"), is_pnm(b"PF\n")
-    (True, False, True)
-    """
-    return re.match(rb"P[1-7fF][\s#]", data) is not None
-
-
 def read_pnm(data: bytes) -> tuple[NDArray, int]:
     """Pixels as stored, and the largest value that they can have.
 

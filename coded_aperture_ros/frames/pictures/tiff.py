@@ -143,17 +143,6 @@ class _Layout:
         return _Entry(_SHORT, len(values), self.pack(f"{len(values)}H", *values))
 
 
-def is_tiff(data: bytes) -> bool:
-    r"""Whether data begin as a TIFF or BigTIFF file does.
-
-    Examples
-    --------
-    >>> is_tiff(b"II*\0rest"), is_tiff(b"\x89PNG")
-    (True, False)
-    """
-    return data[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-
-
 def readable_tiff(data: bytes) -> ReadableTiff:
     """TIFF of the same stored pixels that OpenCV reads as they are.
 
