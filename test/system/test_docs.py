@@ -42,6 +42,26 @@ def test_every_command_in_the_documents_is_understood(documents, caplog):
             assert caplog.messages == [], f"{name}: {PROGRAM} {shlex.join(line)}"
 
 
+def typed_in_running_text(text):
+    """Command lines in code marks with a file or a number: not only the name of an option."""
+    for code in re.findall(r"`([^`\n]+)`", text):
+        words = code.removeprefix(f"{PROGRAM} ").split()
+        if words[0] in COMMANDS and any(re.search(r"\.[a-z]|^\d", word) for word in words):
+            yield shlex.split(code.removeprefix(f"{PROGRAM} "))
+
+
+def test_commands_in_running_text_can_be_typed(documents):
+    """Those that look complete are."""
+    typed = [line for text in documents.values() for line in typed_in_running_text(text)]
+    assert ["simulate", "--random", "7", "-o", "scene.png"] in typed
+    for name, text in documents.items():
+        for line in [] if name == "CHANGELOG.md" else typed_in_running_text(text):
+            try:
+                parsed(*line)
+            except (SystemExit, UsageError) as error:
+                pytest.fail(f"{name}: {PROGRAM} {shlex.join(line)}: {error}")
+
+
 def help_texts(capsys, commands=COMMANDS, before=()):
     """Return the help of commands and of their actions, with every option."""
     texts = ""
