@@ -415,7 +415,7 @@ def test_frames_of_a_folder_share_the_scale_of_their_parallax(scene, tmp_path, c
         lambda sharp, _, parallax: (scales.append(parallax), (sharp, sharp))[1],
     )
     arguments = ("--bank", scene.bank, "--depth", "auto", "-o", tmp_path / "out", tmp_path / "in")
-    options = ("--anaglyph", f"{tmp_path}/3d", "--stereo", f"{tmp_path}/3d/both.views")
+    options = ("--anaglyph", f"{tmp_path}/3d", "--stereo", f"{tmp_path}/3d/both.views/")
     assert call(capsys, "deblur", *arguments, *options).status == 0
     assert names(tmp_path / "out") == with_pictures("a.png", "b.png")
     assert names(tmp_path / "3d") == ["a.png", "b.png", "both.views"]
@@ -723,7 +723,7 @@ def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
     from coded_aperture_ros.simulation.layered import random_scene
 
-    output = tmp_path / "out" / "coded.npy"
+    output = tmp_path / "coded.npy"
     cells = np.float32([[1, 1, 0], [0, 1, 0], [0, 1, 1]])
     np.save(tmp_path / "mask.npy", cells)
     options = ("--random", 7, "--mask", tmp_path / "mask.npy", "--side", "both", "--size", 90, 70)
@@ -734,9 +734,9 @@ def test_a_random_scene_is_simulated_with_its_truth_beside_it(tmp_path, capsys):
     expected = random_scene(7, camera.mask, "both", (70, 90))
     np.testing.assert_array_equal(np.load(output), expected.coded())
     np.testing.assert_array_equal(
-        np.load(tmp_path / "out" / "coded.all_in_focus.npy"), expected.all_in_focus()
+        np.load(tmp_path / "coded.all_in_focus.npy"), expected.all_in_focus()
     )
-    depth = np.load(tmp_path / "out" / "coded.depth.npy")
+    depth = np.load(tmp_path / "coded.depth.npy")
     np.testing.assert_allclose(camera.blur_size_px(depth), expected.blur_size_px(), atol=2e-3)
     summary = json.loads(result.out)
     assert (summary["width"], summary["height"]) == (90, 70)

@@ -118,6 +118,25 @@ def test_swapped_depths_are_named():
         fit_signed_lens(*with_sizes(sizes))
 
 
+@pytest.mark.parametrize("focus_m", [FOCUS_M, 9.0])
+@pytest.mark.parametrize("first", range(7))
+def test_neighbours_whose_blur_is_in_the_other_order_are_named(first, focus_m):
+    """Also where it is too little for an outlier, or would be off the line by less than that."""
+    depths = 1 / np.linspace(0.85, 0.45, 8)
+    sizes = blur_size_px(depths, focus_m)
+    assert np.ptp(sizes) / 7 < 1  # less than an outlier
+    sizes[[first, first + 1]] = sizes[[first + 1, first]]
+    with pytest.raises(InputError, match=rf"{first}.png and {first + 1}.png: .*seem to be swapped"):
+        fit_signed_lens(*with_sizes(sizes, depths))
+
+
+def test_noise_of_blur_is_no_exchange():
+    depths = 1 / np.linspace(0.85, 0.55, 8)
+    sizes = blur_size_px(depths)
+    sizes[2] = sizes[3] + 0.3
+    fit_signed_lens(*with_sizes(sizes, depths))
+
+
 def test_one_wrong_depth_is_named():
     sizes = blur_size_px(DEPTHS_M)
     sizes[4] = blur_size_px(3.0)

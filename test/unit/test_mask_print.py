@@ -289,7 +289,8 @@ def test_lines_for_a_laser(tmp_path, capsys):
 @pytest.mark.parametrize("suffix", [".pdf", ".svg"])
 def test_command(tmp_path, capsys, suffix):
     output = tmp_path / "new" / f"mask{suffix}"
-    result = call(capsys, "mask", "print", "levin", "--extent-mm", 26, "-o", output)
+    arguments = ("mask", "print", "levin", "--extent-mm", 26, "-o", output)
+    result = call(capsys, *arguments, "--parents")
     assert (result.status, result.err) == (0, "")
     assert result.out.startswith(f"{output}: mask levin, 26 mm, on a round piece of 41 mm; ")
     sheet = mask_sheet(Mask.named("levin"), 26)
@@ -338,7 +339,8 @@ def test_a_mask_from_a_file(tmp_path, capsys, caplog):
 )
 def test_what_cannot_be_printed(tmp_path, capsys, monkeypatch, arguments, phrases):
     monkeypatch.chdir(tmp_path)
-    refused(call(capsys, "mask", "print", *arguments, "-o", "new/mask.pdf"), *phrases)
+    output = ("-o", "new/mask.pdf", "--parents")
+    refused(call(capsys, "mask", "print", *arguments, *output), *phrases)
     assert everything(tmp_path) == {}
 
 

@@ -19,6 +19,10 @@ _NARROW_PX = 4.5
 _NARROW_OUTLIER_PX = 1.8
 _OUTLIER_PX = 1.0
 _OUTLIER_SHARE = 0.08
+# Blur that falls by more from one plane to the next, where it has to grow, is that of exchanged
+# planes: it fell in none of 18 right lists, and by 0.5 px or more in eight of nine lists with the
+# first two exchanged.
+_FALL_PX = 0.4
 _ITERATIONS = 20
 _NO_LENS = ThinLens(1e-9, 0.0)
 
@@ -55,6 +59,7 @@ def fit_signed_lens(planes: Planes, measured: Sequence[MeasuredPlane]) -> ThinLe
         _refuse_both_sides(planes, sizes, errors, outliers)
         _refuse_swapped(planes, sizes, errors)
         _refuse_depths(planes, fit, sizes)
+    _refuse_falling(planes, fit, sizes)
     return fit
 
 
@@ -120,6 +125,20 @@ def _refuse_swapped(planes: Planes, sizes: NDArray, errors: NDArray) -> None:
                 f"{names[i]} and {names[j]}: their depths, {depths[i]:g} and {depths[j]:g} m, seem "
                 "to be swapped: the blur grows evenly if they are exchanged"
             )
+
+
+def _refuse_falling(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
+    """Raise `InputError` with the first two neighbours whose blur is in the other order."""
+    depths = planes.depths_m
+    names = planes.names
+    falls = np.diff(_side(fit, depths) * sizes) < -_FALL_PX
+    if falls.any():
+        i = int(np.argmax(falls))
+        raise InputError(
+            f"{names[i]} and {names[i + 1]}: their depths, {depths[i]:g} and {depths[i + 1]:g} m, "
+            f"seem to be swapped: their blur, {sizes[i]:.1f} and {sizes[i + 1]:.1f} px, is in the "
+            "other order"
+        )
 
 
 def _refuse_depths(planes: Planes, fit: ThinLens, sizes: NDArray) -> None:
