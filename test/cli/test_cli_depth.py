@@ -520,8 +520,8 @@ def test_several_frames_do_not_fit_into_one_file(scene, tmp_path, capsys):
 def test_unusable_frames(scene, tmp_path, capsys, name, phrase):
     write_frames(tmp_path)
     before = everything(tmp_path)
-    output = tmp_path / "depth" / "d.npy"
-    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / name, "-o", output)
+    output = ("-o", tmp_path / "depth" / "d.npy", "--parents")
+    result = call(capsys, "depth", "--bank", scene.bank, tmp_path / name, *output)
     refused(result, tmp_path / name, phrase)
     assert everything(tmp_path) == before
 
