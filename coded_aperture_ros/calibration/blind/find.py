@@ -214,13 +214,13 @@ class _Search:
         """Mixture and sizes, coarse masks first."""
         parts = random_parts(_COARSE_PARTS, _COARSE_CELLS)
         fit = self._fit(parts, sizes_px, self.likelihood.first_log_noise)
-        for _ in range(2):
-            fit = fit.optimise(self.likelihood, _COARSE_STEPS // 2)
         cells = min(_FINE_CELLS, int(np.ceil(sizes_px.max())))
-        # Afresh: the coarse ones' cells would stay visible.
-        fit = dataclasses.replace(fit, parts=random_parts(_FINE_PARTS, cells))
-        for _ in range(2):
-            fit = fit.optimise(self.likelihood, _FINE_STEPS // 2)
+        coarse, fine = _COARSE_STEPS // 2, _FINE_STEPS // 2
+        for number, steps in self.progress(list(enumerate((coarse, coarse, fine, fine)))):
+            if number == 2:
+                # Afresh: the coarse ones' cells would stay visible.
+                fit = dataclasses.replace(fit, parts=random_parts(_FINE_PARTS, cells))
+            fit = fit.optimise(self.likelihood, steps)
         return fit
 
     def _tried(
