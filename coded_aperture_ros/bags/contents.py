@@ -4,6 +4,8 @@ import dataclasses
 import struct
 from typing import Any
 
+# Of a file. Robots have hundreds.
+MOST_TOPICS = 10_000
 # Where CDR has seconds and nanoseconds of a header, bytes.
 _STAMP_START, _STAMP_END = 4, 12
 

@@ -8,6 +8,8 @@ from typing import Any
 
 from rosbags.rosbag2 import ReaderError
 
+from coded_aperture_ros.core.text import shortened
+
 # What rosbags itself depends on.
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 
@@ -25,9 +27,16 @@ DAMAGE: tuple[type[BaseException], ...] = (
     EOFError,
     AssertionError,
     RuntimeError,
+    # Numbers that nobody wrote, such as lengths.
+    MemoryError,
+    OverflowError,
 )
+
+
+# Characters of what a library says of a file.
+_LONGEST_MESSAGE = 200
 
 
 def one_line(error: BaseException) -> str:
     """Message of an error in one line, or else its name."""
-    return " ".join(str(error).split()) or type(error).__name__
+    return shortened(str(error), _LONGEST_MESSAGE) or type(error).__name__

@@ -5,9 +5,8 @@ import re
 from pathlib import Path, PurePath
 from typing import Any
 
-import yaml
-
 from coded_aperture_ros.bags.names import METADATA, PACKED
+from coded_aperture_ros.core.yaml_file import read_yaml
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,9 +38,7 @@ def read_layout(folder: Path) -> Layout:
         If `metadata.yaml` is damaged.
     """
     try:
-        text = (folder / METADATA).read_text(encoding="utf-8")
-        found: Any = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
-        found = found["rosbag2_bagfile_information"]
+        found: Any = read_yaml(folder / METADATA, METADATA)["rosbag2_bagfile_information"]
         mode = (found.get("compression_mode") or "").lower()
         compression = found.get("compression_format") or ""
         topics = [each["topic_metadata"] for each in found.get("topics_with_message_count") or ()]
@@ -50,9 +47,9 @@ def read_layout(folder: Path) -> Layout:
             mode == "message",
             {each["name"]: each.get("type_description_hash") or "" for each in topics},
         )
-    except PermissionError:
-        raise
-    except (OSError, yaml.YAMLError, KeyError, TypeError, AttributeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, AttributeError, ValueError) as error:
+        if isinstance(error.__cause__, PermissionError):
+            raise error.__cause__ from error
         raise ValueError(f"{METADATA} cannot be read") from error
     if mode not in ("", "none") and compression != "zstd":
         raise ValueError(f"its compression {compression} is not supported")

@@ -13,7 +13,8 @@ import numpy as np
 from rosbags.rosbag2.storage_mcap import get_qos
 
 from coded_aperture_ros.bags import mcap_records as mcap
-from coded_aperture_ros.bags.contents import BagMessage, Supplement, Topic
+from coded_aperture_ros.bags.compression import LARGEST_UNPACKED_BYTES, most_unpacked
+from coded_aperture_ros.bags.contents import MOST_TOPICS, BagMessage, Supplement, Topic
 from coded_aperture_ros.bags.damage import DAMAGE
 
 _ROS_SCHEMAS = ("ros2msg", "ros2idl", "")
@@ -41,6 +42,9 @@ class McapFile:
         self._descriptions = mcap.Descriptions()
         self._chunks: list[mcap.Record] = []
         self._starts_ns: dict[int, int] = {}
+        # What chunks unpack to, and what all of them may.
+        self._sizes: dict[int, int] = {}
+        self._unpacked_left = most_unpacked(path.stat().st_size)
         self._supplements: list[mcap.Record] = []
         # Messages that are in no chunk: channel, time, position of their content and its end.
         self._single: list[array[int]] = [array("Q") for _ in range(4)]
@@ -61,7 +65,8 @@ class McapFile:
             for number, topic in self._topics.items()
             if wanted.get(topic.name) == topic.type_name
         }
-        streams = [self._chunk_messages(chunk, names) for chunk in self._chunks]
+        opened: Counter[str] = Counter()
+        streams = [self._chunk_messages(chunk, names, opened) for chunk in self._chunks]
         for time_ns, message in heapq.merge(*streams, self._singles(names), key=itemgetter(0)):
             if message is not None:
                 yield BagMessage(message[0], time_ns, message[1])
@@ -69,8 +74,8 @@ class McapFile:
     def supplements(self) -> Iterator[Supplement]:
         """Yield attachments and records of metadata, but for rosbag2's own."""
         for record in self._supplements:
-            content = mcap.read_content(self._file, record)
             try:
+                content = mcap.read_content(self._file, record)
                 name = mcap.supplement_name(record.kind, content)
             except DAMAGE:
                 self._damaged.add(record.start)
@@ -142,6 +147,8 @@ class McapFile:
         else:
             used = max(used, self._scan(counts))
             channels = self._descriptions.channels()
+        if len(channels) > MOST_TOPICS:
+            raise ValueError(f"it has more than {MOST_TOPICS} topics")
         self._topics = {
             number: topic_from_channel(channel, counts[number])
             for number, channel in channels.items()
@@ -156,8 +163,15 @@ class McapFile:
     def _take(self, record: mcap.Record) -> int:
         """Note a record that is in no chunk; return where what can be used of it ends."""
         if record.kind == mcap.CHUNK:
+            start_ns, size = mcap.chunk_facts(self._file, record)
             self._chunks.append(record)
-            self._starts_ns[record.start] = mcap.start_time_ns(self._file, record)
+            self._starts_ns[record.start] = start_ns
+            # One that is too large by itself is damaged, and is not unpacked.
+            self._unpacked_left -= size if size <= LARGEST_UNPACKED_BYTES else 0
+            if self._unpacked_left < 0:
+                self._damaged.add(record.start)
+                size = 0
+            self._sizes[record.start] = size
             return 0  # until it was read
         if not record.complete:
             return 0
@@ -181,7 +195,7 @@ class McapFile:
         """Read all chunks for their descriptions and counts; return the end of what is usable."""
         used = 0
         for chunk in self._chunks:
-            found, unused = mcap.unpack_chunk(self._file, chunk)
+            found, unused = self._unpack(chunk)
             for kind, content in found:
                 if kind == mcap.MESSAGE:
                     counts[mcap.MESSAGE_HEADER.unpack_from(content)[0]] += 1
@@ -195,11 +209,20 @@ class McapFile:
         return used
 
     def _chunk_messages(
-        self, chunk: mcap.Record, names: Mapping[int, str]
+        self, chunk: mcap.Record, names: Mapping[int, str], opened: Counter[str]
     ) -> Iterator[tuple[int, tuple[str, bytes] | None]]:
-        """Yield the start of a chunk, before it is read, and then its messages."""
+        """Yield the start of a chunk, before it is read, and then its messages.
+
+        `opened` counts the bytes of all chunks that are read and not yet at their end: those that
+        overlap in time.
+        """
         yield self._starts_ns[chunk.start], None
-        found, unused = mcap.unpack_chunk(self._file, chunk)
+        size = self._sizes[chunk.start]
+        if opened["bytes"] + size > LARGEST_UNPACKED_BYTES:
+            self._damaged.add(chunk.start)
+            return
+        opened["bytes"] += size
+        found, unused = self._unpack(chunk)
         if unused and chunk.complete:
             self._damaged.add(chunk.start)
         messages = []
@@ -211,15 +234,30 @@ class McapFile:
                 if channel in names:
                     data = bytes(content[mcap.MESSAGE_HEADER.size :])
                     messages.append((time_ns, (names[channel], data)))
+        del found
         messages.sort(key=itemgetter(0))
         yield from messages
+        opened["bytes"] -= size
+
+    def _unpack(self, chunk: mcap.Record) -> tuple[list[tuple[int, memoryview]], int]:
+        """Records of a chunk, and bytes that are damaged: all where the file would grow too far."""
+        if self._sizes[chunk.start] == 0:
+            return [], chunk.end - chunk.start
+        found, unused = mcap.unpack_chunk(self._file, chunk)
+        if not found:
+            self._sizes[chunk.start] = 0  # nobody unpacks it in vain again
+        return found, unused
 
     def _singles(self, names: Mapping[int, str]) -> Iterator[tuple[int, tuple[str, bytes] | None]]:
         channels, times_ns, starts, ends = self._single
         for index in np.argsort(np.array(times_ns, np.uint64), kind="stable"):
             if channels[index] in names:
                 record = mcap.Record(mcap.MESSAGE, starts[index], ends[index])
-                data = mcap.read_content(self._file, record)
+                try:
+                    data = mcap.read_content(self._file, record)
+                except ValueError:
+                    self._gaps += ends[index] - starts[index]
+                    continue
                 yield times_ns[index], (names[channels[index]], data)
 
 

@@ -16,8 +16,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from typing import BinaryIO
 
-from rosbags.rosbag2.storage_mcap import decompress, read_bytes, read_string
+from rosbags.rosbag2.storage_mcap import read_bytes, read_string
 
+from coded_aperture_ros.bags.compression import LARGEST_UNPACKED_BYTES, unpacked_chunk
 from coded_aperture_ros.bags.contents import ForeignSchema
 from coded_aperture_ros.bags.damage import DAMAGE
 
@@ -55,7 +56,7 @@ _FOOTER = struct.Struct("<QQI")
 _CHECKSUM = struct.Struct("<I")
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclasses.dataclass(frozen=True, slots=True)
 class Record:
     """Record in a file.
 
@@ -101,6 +102,7 @@ def records(file: BinaryIO, position: int, end: int) -> Iterator[Record]:
     """
     before = position
     chunked = False
+    more_chunks = True
     while position + RECORD.size <= end:
         file.seek(position)
         kind, length = RECORD.unpack(file.read(RECORD.size))
@@ -111,7 +113,9 @@ def records(file: BinaryIO, position: int, end: int) -> Iterator[Record]:
             before, position = position, start + length
             continue
         # The length of the record before may be what is wrong.
-        found = _next_chunk(file, before + 1, end)
+        found = _next_chunk(file, before + 1, end) if more_chunks else None
+        # Else every gap would be followed by a search to the end.
+        more_chunks = found is not None
         if found is None and not chunked and kind != CHUNK:
             found = _next_message(file, before + 1, end)
         if found is None:
@@ -151,15 +155,20 @@ def _next_message(file: BinaryIO, position: int, end: int) -> int | None:
 
 
 def read_content(file: BinaryIO, record: Record) -> bytes:
-    """Content of a record."""
+    """Content of a record; a `ValueError` if it is larger than any message should be."""
+    length = record.end - record.start
+    if length > LARGEST_UNPACKED_BYTES:
+        raise ValueError(f"a record of {length} bytes, expected at most {LARGEST_UNPACKED_BYTES}")
     file.seek(record.start)
-    return file.read(record.end - record.start)
+    return file.read(length)
 
 
-def start_time_ns(file: BinaryIO, chunk: Record) -> int:
-    """Time of the first message of a chunk, as its header has it."""
+def chunk_facts(file: BinaryIO, chunk: Record) -> tuple[int, int]:
+    """Time of the first message of a chunk, ns, and unpacked size, as its header has them."""
     file.seek(chunk.start)
-    return int.from_bytes(file.read(8), "little")
+    header = file.read(min(_CHUNK_HEADER.size, chunk.end - chunk.start))
+    start_ns, _, size, _ = _CHUNK_HEADER.unpack(header)
+    return start_ns, size
 
 
 def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryview]], int]:
@@ -168,8 +177,11 @@ def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryv
     Of a chunk that does not fit its checksum nothing is used, unless it breaks off with zeros,
     which file systems fill in for what was never written.
     """
-    # Views: a frame is copied once, when it is read, and once, when it is given out.
-    content = memoryview(read_content(file, chunk))
+    try:
+        # Views: a frame is copied once, when it is read, and once, when it is given out.
+        content = memoryview(read_content(file, chunk))
+    except ValueError:
+        return [], chunk.end - chunk.start
     body = io.BytesIO(content[:_CHUNK_START_BYTES])
     try:
         _, _, size, checksum = _CHUNK_HEADER.unpack(body.read(_CHUNK_HEADER.size))
@@ -181,7 +193,7 @@ def unpack_chunk(file: BinaryIO, chunk: Record) -> tuple[list[tuple[int, memoryv
     except DAMAGE:
         return [], len(content)
     try:
-        found, unused = _inner_records(memoryview(decompress(raw, compression, size, checksum)))
+        found, unused = _inner_records(memoryview(unpacked_chunk(raw, compression, size, checksum)))
         return found, unused + behind
     except DAMAGE:
         if compression:

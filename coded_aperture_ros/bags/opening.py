@@ -1,9 +1,13 @@
 """Opening the files of a bag, each as far as it can be read."""
 
+import shutil
 import tempfile
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import BinaryIO
 
+from coded_aperture_ros.bags.compression import most_unpacked
 from coded_aperture_ros.bags.damage import DAMAGE, one_line, zstd
 from coded_aperture_ros.bags.layout import Layout, by_number, read_layout, same_recording
 from coded_aperture_ros.bags.mcap_file import McapFile
@@ -15,6 +19,11 @@ from coded_aperture_ros.core.errors import InputError
 Part = McapFile | SqliteFile
 # Compressed bytes that are read at once.
 _BLOCK_BYTES = 2**16
+_UNPACKED_BLOCK_BYTES = 2**20
+# What an MCAP and an SQLite file begin with.
+_MAGIC = (b"\x89MCAP", b"SQLite format 3")
+# What is left to other programs on the disk of a copy.
+_FREE_BYTES = 2**28
 _KINDS: dict[str, type[Part]] = {"mcap": McapFile, "sqlite3": SqliteFile}
 
 
@@ -125,23 +134,41 @@ def _open_file(file: Path, damage: list[str], resources: ExitStack) -> Part:
 def _unpacked(file: Path, damage: list[str], folder: Path) -> Path:
     """Copy of a file that was compressed as a whole, up to where it is damaged."""
     copy = folder / file.stem
-    decompressor = zstd.ZstdDecompressor()
-    complete = False
+    left = most_unpacked(file.stat().st_size)
     with copy.open("wb") as output, file.open("rb") as packed:
         try:
-            while block := packed.read(_BLOCK_BYTES):
-                while block:
-                    output.write(decompressor.decompress(block))
-                    complete = decompressor.eof
-                    block = decompressor.unused_data
-                    if complete:
-                        decompressor = zstd.ZstdDecompressor()
+            for part in _parts(packed):
+                if part and not output.tell() and not part.startswith(_MAGIC):
+                    damage.append(f"{file.name} holds no recording")
+                    break
+                left -= len(part)
+                if left < 0 or shutil.disk_usage(folder).free < _FREE_BYTES + len(part):
+                    reason = (
+                        "it unpacks to more than a recording would" if left < 0 else "disk full"
+                    )
+                    damage.append(f"{file.name} is read in part ({reason})")
+                    break
+                output.write(part)
+        except EOFError:
+            damage.append(f"{file.name} is cut off")
         except zstd.ZstdError as error:
             damage.append(f"{file.name} is damaged ({one_line(error)})")
-            return copy
-    if not complete:
-        damage.append(f"{file.name} is cut off")
     return copy
+
+
+def _parts(packed: BinaryIO) -> Iterator[bytes]:
+    """Yield the content of a compressed file, in blocks; an `EOFError` if it is cut off."""
+    decompressor = zstd.ZstdDecompressor()
+    complete = False
+    while block := packed.read(_BLOCK_BYTES):
+        while block or not (decompressor.needs_input or decompressor.eof):
+            yield decompressor.decompress(block, max_length=_UNPACKED_BLOCK_BYTES)
+            complete = decompressor.eof
+            block = decompressor.unused_data
+            if complete:
+                decompressor = zstd.ZstdDecompressor()
+    if not complete:
+        raise EOFError
 
 
 def _temporary(resources: ExitStack) -> Path:

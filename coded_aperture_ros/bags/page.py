@@ -15,11 +15,14 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.frame_log import FrameLog
+from coded_aperture_ros.core.text import listed
 from coded_aperture_ros.depth.quality import CAUSE_TEXTS, no_depth_reason
 from coded_aperture_ros.metrics.reliability import Reliability
 
 PAGE = "report.html"
 JSON = "report.json"
+# Topics whose names are written out.
+_MOST_LISTED = 100
 _STYLE = """
 body { font: 15px/1.4 sans-serif; margin: 2em auto; max-width: 1020px; padding: 0 1em }
 table { border-collapse: collapse; margin: 1em 0 }
@@ -78,7 +81,7 @@ def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
     if results["damage"]:
         yield f"The bag was read as far as it can be: {results['damage']}."
     if results["left_out"]:
-        yield f"Not in the new bag: {', '.join(results['left_out'])}."
+        yield f"Not in the new bag: {listed(results['left_out'], most=_MOST_LISTED)}."
     for reason, count in results["camera_info"].items():
         yield f"{reason} ({count} message(s))."
     for fault, reason in results["fault_reasons"].items():

@@ -124,13 +124,26 @@ class Bag(AbstractContextManager["Bag"]):
 
     def _unpacked(self, messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
         """Yield messages that were compressed one by one."""
-        from coded_aperture_ros.bags.damage import DAMAGE, zstd
+        from coded_aperture_ros.bags.compression import (
+            LARGEST_UNPACKED_BYTES,
+            most_unpacked,
+            unpacked,
+        )
+        from coded_aperture_ros.bags.damage import DAMAGE
 
+        left = most_unpacked(self._size())
         for message in messages:
             try:
-                yield dataclasses.replace(message, data=zstd.decompress(message.data))
+                data = unpacked(message.data, "zstd", min(left, LARGEST_UNPACKED_BYTES))
             except DAMAGE:
                 self._lost += 1
+                continue
+            left -= len(data)
+            yield dataclasses.replace(message, data=data)
+
+    def _size(self) -> int:
+        """Bytes of all files."""
+        return sum(part.path.stat().st_size for part in self._parts)
 
     def __exit__(self, *_: object) -> None:
         self.close()

@@ -5,14 +5,21 @@ from array import array
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from urllib.parse import quote
 
 from rosbags.rosbag2.metadata import parse_qos
 
-from coded_aperture_ros.bags.contents import BagMessage, ForeignSchema, Supplement, Topic
+from coded_aperture_ros.bags.contents import (
+    MOST_TOPICS,
+    BagMessage,
+    ForeignSchema,
+    Supplement,
+    Topic,
+)
 from coded_aperture_ros.bags.damage import DAMAGE
+from coded_aperture_ros.bags.sqlite_guard import GuardedDatabase
 
-_IMMUTABLE = "file:{}?immutable=1"
+# What is left out where rows share bytes of the file.
+_TOO_MUCH = "there is more in them than in the file"
 
 
 class SqliteFile:
@@ -30,13 +37,10 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.damage = ""
-        # Immutable: SQLite leaves no files beside it, and needs none.
-        self._database = sqlite3.connect(
-            _IMMUTABLE.format(quote(str(path))), uri=True, check_same_thread=False
-        )
+        self._size = path.stat().st_size
+        self._database = GuardedDatabase(path)
         try:
-            # Without it SQLite refuses a file that is shorter than it says of itself.
-            self._database.execute("PRAGMA writable_schema = ON")
+            self._database.check_tables()
             counts = self._counts()
             self._topics = self._read_topics(counts)
         except sqlite3.Error:
@@ -58,13 +62,20 @@ class SqliteFile:
         query = "SELECT timestamp, data FROM messages WHERE id = ?"
         lost = 0
         reason = ""
+        left = self._size
         numbers, topics = self._order()
         for number, topic in zip(numbers, topics, strict=True):
             if topic not in names:
                 continue
             try:
+                if left < 0:
+                    raise sqlite3.DataError(_TOO_MUCH)
                 time_ns, data = self._database.execute(query, (number,)).fetchone()
-            except (sqlite3.Error, TypeError) as error:  # or there is none of this number
+                if not (isinstance(time_ns, int) and isinstance(data, bytes)):
+                    raise sqlite3.DataError("a time or its data are of another type")
+                left -= len(data)
+            # Or there is none of this number.
+            except (sqlite3.Error, TypeError, OverflowError, MemoryError) as error:
                 lost += 1
                 reason = str(error)
                 continue
@@ -96,7 +107,7 @@ class SqliteFile:
         That goes by an index, which may be lost; then first those in front of the damage, and then
         those behind it.
         """
-        columns = "SELECT id, topic_id FROM messages"
+        columns = "SELECT id, CAST(topic_id AS INTEGER) FROM messages WHERE typeof(id) = 'integer'"
         numbers: array[int] = array("q")
         topics: array[int] = array("q")
         if not self.damage:
@@ -129,8 +140,14 @@ class SqliteFile:
         found = [name if name in columns else "''" for name in optional]
         definitions = self._definitions()
         query = f"SELECT id, name, type, {', '.join(found)} FROM topics ORDER BY id"
-        topics = {}
+        topics: dict[int, Topic] = {}
+        left = self._size
         for number, name, type_name, qos, type_hash, encoding in self._database.execute(query):
+            if len(topics) == MOST_TOPICS:
+                raise sqlite3.DataError(f"it has more than {MOST_TOPICS} topics")
+            left -= sum(len(str(each)) for each in (name, type_name, qos, type_hash, encoding))
+            if left < 0 or not (isinstance(number, int) and isinstance(name, str)):
+                raise sqlite3.DataError(_TOO_MUCH if left < 0 else "a topic has no name")
             count = None if counts is None else counts.get(number, 0)
             if encoding not in ("cdr", ""):
                 foreign = ForeignSchema(encoding, type_name)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from coded_aperture_ros.bags.damage import one_line
+from coded_aperture_ros.bags.sqlite_guard import GuardedDatabase
 
 _SUFFIXES = ("-journal", "-wal")
 
@@ -52,7 +53,7 @@ def recovered(path: Path, left: list[Path], new_folder: Callable[[], Path]) -> t
         copy = folder / path.name
         for file in (path, *left):
             shutil.copyfile(file, folder / file.name)
-        database = sqlite3.connect(copy)
+        database = GuardedDatabase(copy, writable=True)
         try:
             # What is in a write-ahead log goes into the file, too.
             database.execute("PRAGMA journal_mode = DELETE").fetchall()

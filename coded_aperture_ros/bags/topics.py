@@ -7,6 +7,7 @@ from typing import Any
 from coded_aperture_ros.bags.codec import CAMERA_INFO, COMPRESSED, IMAGE
 from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import listed, shortened
 from coded_aperture_ros.depth import layer_specs
 
 _RAW = "image_raw"
@@ -83,7 +84,7 @@ def image_topic(
             return images[fitting[0]]
     if not images:
         raise InputError(f"there are no images in it, {_listed(topics)}")
-    raise InputError(f"which images are the coded frames? Say {named_by}{' or '.join(images)}")
+    raise InputError(f"which images are the coded frames? Say {named_by}{listed(images, ' or ')}")
 
 
 def depth_topic(topics: Mapping[str, Topic], wanted: str) -> Topic:
@@ -121,10 +122,11 @@ def _named(
         if name in fitting:
             return fitting[name]
         if name in topics:
-            raise InputError(f"topic {name} is of {topics[name].type_name}, expected {type_name}")
+            found = shortened(topics[name].type_name)
+            raise InputError(f"topic {shortened(name)} is of {found}, expected {type_name}")
     raise InputError(f"there is no topic {wanted} in it, {_listed(topics)}")
 
 
 def _listed(topics: Mapping[str, Topic]) -> str:
-    listed = (str(topic) if topic.foreign else name for name, topic in topics.items())
-    return f"only {', '.join(listed)}" if topics else "nor any other"
+    names = (str(topic) if topic.foreign else name for name, topic in topics.items())
+    return f"only {listed(names)}" if topics else "nor any other"

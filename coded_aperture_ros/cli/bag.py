@@ -23,6 +23,7 @@ from coded_aperture_ros.cli.rules import excludes, required
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import progress
+from coded_aperture_ros.core.text import listed
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, no_depth_reason
@@ -173,7 +174,7 @@ def _warnings(source: Path, results: Summary) -> Iterator[str]:
     if results["damage"]:
         yield f"{source}: read as far as it can be: {results['damage']}"
     if results["left_out"]:
-        yield f"{source}: left out of the new bag: {', '.join(results['left_out'])}"
+        yield f"{source}: left out of the new bag: {listed(results['left_out'])}"
     for reason, count in results["camera_info"].items():
         yield f"{source}: {reason} ({count} message(s))"
     reference = results["reference"]

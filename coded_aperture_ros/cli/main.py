@@ -13,10 +13,13 @@ from coded_aperture_ros.cli.table import Actions
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
+from coded_aperture_ros.core.text import shortened
 
 PROGRAM = "coded_aperture"
 # What can go wrong where the output of a command goes.
 _OF_OUTPUT = errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF
+# Characters of a message; what files of strangers name themselves may be longer.
+_LONGEST_MESSAGE = 2000
 FAILED = 1
 WRONG_USAGE = 2
 INTERRUPTED = 130  # what shells report for a program that Ctrl-C ended
@@ -37,7 +40,12 @@ def main(words: Sequence[str] | None = None) -> int:
         finally:
             sys.stdout.flush()
     except InputError as error:
-        print(f"{PROGRAM}: error: {error}", file=sys.stderr)
+        print(f"{PROGRAM}: error: {shortened(str(error), _LONGEST_MESSAGE)}", file=sys.stderr)
+        return FAILED
+    except (MemoryError, OverflowError, RecursionError) as error:
+        # An input that asks for more than any has; what it is, our own checks know better.
+        what = "not enough memory" if isinstance(error, MemoryError) else "a number is too large"
+        print(f"{PROGRAM}: error: {what}: an input is too large, or damaged", file=sys.stderr)
         return FAILED
     except OSError as error:
         if error.filename is not None or error.errno not in _OF_OUTPUT:

@@ -2,7 +2,6 @@
 
 import io
 import os
-import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -11,21 +10,36 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.array_file import read_array
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.input_file import read_bytes
 
-# What NumPy raises for a damaged file.
+# Bytes of a file, and of all of its arrays. Banks with PSFs of every part have some 10 million.
+LARGEST_ARCHIVE_BYTES = 2**28
+# Largest table of contents; that of a bank has 3 kilobytes.
+_LARGEST_CONTENTS_BYTES = 2**16
+# End of a zip file: signature, where the size of its contents stands, and the length of all.
+_END = b"PK\5\6"
+_CONTENTS_SIZE = slice(12, 16)
+_END_BYTES = 22
+# In front of it where sizes have 64 bits, as none of ours has.
+_LOCATOR = b"PK\6\7"
+_LOCATOR_BYTES = 20
+# Others need memory that the file chooses.
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# What is raised for a damaged file.
 _DAMAGE_ERRORS = (
     OSError,
     ValueError,
     EOFError,
     KeyError,
     RuntimeError,  # of zipfile: the damage looks like encryption, or like another compression
-    MemoryError,  # the damaged size of an array is enormous
-    SyntaxError,  # NumPy reads the headers of old files with Python's own tokenizer
-    tokenize.TokenError,
+    MemoryError,
+    OverflowError,
     zipfile.BadZipFile,
     zlib.error,
 )
@@ -77,17 +91,16 @@ def read_archive(
     """
     path = Path(path)
     try:
-        with path.open("rb") as file:
-            archive = np.load(file, allow_pickle=False)
-            if not isinstance(archive, np.lib.npyio.NpzFile):
-                raise InputError(f"{path}: a single array, not a {schema} file (.npz)")
-            arrays = {name: archive[name] for name in archive.files}
-            if any(np.iscomplexobj(array) for array in arrays.values()):
-                raise InputError(f"{path}: holds complex numbers, not a {schema}")
+        if not path.exists():
+            raise InputError(f"{path}: no such file (a {schema} was expected)")
+        content = read_bytes(path, path, LARGEST_ARCHIVE_BYTES)
+        if content.startswith(npy.MAGIC_PREFIX):
+            raise InputError(f"{path}: a single array, not a {schema} file (.npz)")
+        arrays = _arrays(content)
+        if any(np.iscomplexobj(array) for array in arrays.values()):
+            raise InputError(f"{path}: holds complex numbers, not a {schema}")
     except InputError:
         raise
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file (a {schema} was expected)") from None
     except _DAMAGE_ERRORS as error:
         if isinstance(error, OSError) and error.errno:
             raise InputError(f"cannot read {path}: {error.strerror}") from error
@@ -108,6 +121,27 @@ def read_archive(
             f"version {version}: upgrade the package, or make the file again"
         )
     return arrays
+
+
+def _arrays(content: bytes) -> dict[str, NDArray[Any]]:
+    """Arrays of a zip file; one of `_DAMAGE_ERRORS` if it declares more than it may have."""
+    end = content.rfind(_END, max(0, len(content) - _END_BYTES - 0xFFFF))
+    if end < 0:
+        raise zipfile.BadZipFile("no end")
+    size = int.from_bytes(content[end : end + _END_BYTES][_CONTENTS_SIZE], "little")
+    start = max(0, end - _LOCATOR_BYTES)
+    if size > _LARGEST_CONTENTS_BYTES or content.startswith(_LOCATOR, start):
+        raise zipfile.BadZipFile("too many members")
+    with zipfile.ZipFile(io.BytesIO(content)) as archive:
+        members = archive.infolist()
+        if any(member.compress_type not in _COMPRESSIONS for member in members):
+            raise zipfile.BadZipFile("a compression that NumPy does not use")
+        if sum(member.file_size for member in members) > LARGEST_ARCHIVE_BYTES:
+            raise zipfile.BadZipFile("more data than a file may have")
+        return {
+            member.filename.removesuffix(".npy"): read_array(archive.read(member)).copy()
+            for member in members
+        }
 
 
 @cache

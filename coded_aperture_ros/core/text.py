@@ -21,6 +21,37 @@ def short(value: Any) -> str:
     return _SHORT.repr(value)
 
 
+def shortened(text: str, longest: int = 80) -> str:
+    r"""Text in one line of printable characters, with its middle left out if it is long.
+
+    Examples
+    --------
+    >>> shortened("first\nsecond")
+    'first second'
+    >>> shortened("x" * 1000, 12)
+    'xxxx...xxxxx'
+    """
+    if len(text) > longest:
+        half = (longest - 3) // 2
+        text = f"{text[:half]}...{text[half + 3 - longest :]}"
+    line = " ".join(text.split())
+    return "".join(each if each.isprintable() else "?" for each in line)
+
+
+def listed(names: Iterable[str], between: str = ", ", most: int = 8) -> str:
+    """Names in a row, each shortened; of many, the first ones and the number of the others.
+
+    Examples
+    --------
+    >>> listed(str(number) for number in range(10))
+    '0, 1, 2, 3, 4, 5, 6, 7, and 2 others'
+    """
+    names = list(names)
+    more = len(names) - most
+    rest = [f"and {more} other{'s' if more > 1 else ''}"] if more > 0 else []
+    return between.join([*(shortened(name) for name in names[:most]), *rest])
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Table of aligned columns, the first to the left and the others to the right.
 

@@ -7,12 +7,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.array_file import read_array
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.input_file import read_bytes
 from coded_aperture_ros.frames.frame import PixelFormat
 from coded_aperture_ros.frames.light import Gamma, check_linear, pixels_from_linear
-from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture
+from coded_aperture_ros.frames.pictures import StoredPicture, check_size, decode_picture
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
@@ -236,10 +238,7 @@ def write_depth(path: str | os.PathLike[str], depth_m: NDArray) -> None:
 
 
 def _read_data(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot read {path}: {error.strerror or error}") from error
+    data = read_bytes(path, path)
     if not data:
         raise InputError(f"cannot read {path}: the file is empty")
     return data
@@ -248,22 +247,24 @@ def _read_data(path: Path) -> bytes:
 def _decode(path: Path, data: bytes) -> StoredPicture:
     """Picture of a file as stored."""
     if path.suffix.lower() == ".npy":
-        array = _read_array(path)
+        array = _array_of(path, data)
         white = np.iinfo(array.dtype).max if array.dtype.kind in "ui" else 1
         return StoredPicture(array, white)
     with naming(f"cannot read {path}"):
         return decode_picture(data)
 
 
-def _read_array(path: Path) -> NDArray:
+def _array_of(path: Path, data: bytes) -> NDArray:
     try:
-        with path.open("rb") as file:
-            array = np.load(file, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
+        array = read_array(data)
+    except ValueError as error:
         raise InputError(f"cannot read {path}: truncated, or not a .npy array") from error
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "uif":
+    if array.dtype.kind not in "uif":
         raise InputError(f"cannot read {path}: expected one numeric array")
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
+    if array.ndim > 1:
+        with naming(f"cannot read {path}"):
+            check_size(*array.shape[:2])
+    return array.astype(array.dtype.newbyteorder("="))
 
 
 def _write(path: Path, pixels: NDArray) -> None:

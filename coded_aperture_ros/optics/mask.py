@@ -12,12 +12,16 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from coded_aperture_ros.core.array_file import read_array
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.input_file import read_bytes
 from coded_aperture_ros.frames import decode_picture
 
 # Largest side in cells: finer than any lens shows, and a picture of a mask may be a large scan.
 _MAX_CELLS = 4096
+# Of a file: all cells as 64-bit floats.
+_LARGEST_BYTES = 2**27 + 2**16
 _LEVIN = """
 00110101100 00000100000 11000000011 01001110010 10000100001 10011111001
 10000100001 01001110010 11000000011 00000100000 00110101100
@@ -141,12 +145,9 @@ class Mask:
             If the file is missing, neither of them, or has values outside 0 to 1.
         """
         path = Path(path)
-        try:
-            data = path.read_bytes()
-        except OSError as error:
-            raise InputError(f"cannot read mask {path}: {error.strerror or error}") from error
+        data = read_bytes(path, f"mask {path}", _LARGEST_BYTES)
         if path.suffix.lower() == ".npy":
-            return Mask(path.name, _read_array(path))
+            return Mask(path.name, _array_of(path, data))
         with naming(f"cannot read mask {path}"):
             stored = decode_picture(data)
         picture: Any = stored.pixels
@@ -162,10 +163,10 @@ class Mask:
         return Mask(path.name, picture)
 
 
-def _read_array(path: Path) -> FloatArray:
+def _array_of(path: Path, data: bytes) -> FloatArray:
     try:
-        return np.asarray(np.load(path, allow_pickle=False), dtype=np.float32)
-    except (ValueError, EOFError, OSError, TypeError) as error:
+        return np.asarray(read_array(data), dtype=np.float32)
+    except (ValueError, TypeError) as error:
         raise InputError(f"cannot read mask {path}: not a numeric .npy array") from error
 
 

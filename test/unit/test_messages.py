@@ -298,7 +298,7 @@ def compressed_message(pixels, suffix, kind):
         ("bayer_{}16; jpeg compressed ", ".jpg", np.uint8),
         ("bayer_{}8;png compressed", ".png", np.uint8),
         ("bayer_{}8", ".png", np.uint8),
-        ("bayer_{}16; tiff compressed ", ".tiff", np.uint16),
+        ("bayer_{}16; tiff compressed ", ".png", np.uint16),
     ],
 )
 def test_compressed_mosaics_are_mosaics(order, kind, suffix, dtype):

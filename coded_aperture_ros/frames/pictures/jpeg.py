@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.pictures.jpeg_scan import (
     AC_FIRST,
     AC_REFINED,
@@ -20,6 +21,7 @@ from coded_aperture_ros.frames.pictures.jpeg_scan import (
     Scan,
     is_exactly,
 )
+from coded_aperture_ros.frames.pictures.size import LARGEST_PIXELS, check_size
 
 _START = b"\xff\xd8"
 _MARKER = 0xFF
@@ -27,16 +29,21 @@ _HUFFMAN_TABLES = 0xC4
 _END = 0xD9
 _SCAN = 0xDA
 _TABLES = 0xDB
+_NUMBER_OF_LINES = 0xDC
 _RESTART_INTERVAL = 0xDD
 _BASELINE, _EXTENDED, _PROGRESSIVE = 0xC0, 0xC1, 0xC2
 _JUDGED = (_BASELINE, _EXTENDED, _PROGRESSIVE)
 # Lossless, hierarchical and arithmetic frames, and a number of lines that comes behind the scan.
-_NOT_JUDGED = {*range(0xC3, 0xD0), 0xDC} - {_HUFFMAN_TABLES, 0xC8, 0xCC}
+_NOT_JUDGED = {*range(0xC3, 0xD0), _NUMBER_OF_LINES} - {_HUFFMAN_TABLES, 0xC8, 0xCC}
 # Markers with no length behind them.
 _ALONE = {0x01, *range(0xD0, 0xD8)}
 # The marker that ends the data of a scan, or divides them.
 _DIVIDER = re.compile(rb"\xff+([\x01-\xfe])")
 _RESTARTS = range(0xD0, 0xD8)
+_PROGRESSIVE_KINDS = (_PROGRESSIVE, 0xC6, 0xCA, 0xCE)
+# A scan of few bytes may go over all pixels. Encoders write ten.
+_MOST_SCANNED_PIXELS = 16 * LARGEST_PIXELS
+_MOST_SCANS = 1000
 _BLOCK_PX = 8
 _DC_TABLES = range(4)
 _AC_TABLES = range(16, 20)
@@ -66,6 +73,28 @@ class _Frame:
     interval: int = 0
     nonzero: dict[int, NDArray[np.bool_]] = dataclasses.field(default_factory=dict)
     scanned: set[int] = dataclasses.field(default_factory=set)
+
+
+def check_jpeg(data: bytes) -> None:
+    """Raise `InputError` if a JPEG declares a picture that is too large, or too many scans."""
+    pixels = 0
+    progressive = False
+    scans = 0
+    try:
+        for kind, segment, _ in _segments(data):
+            if kind in (*_JUDGED, *_NOT_JUDGED) and kind != _NUMBER_OF_LINES:
+                rows, columns = struct.unpack_from(">HH", segment, 1)
+                check_size(rows, columns)
+                pixels = rows * columns
+                progressive = kind in _PROGRESSIVE_KINDS
+            elif kind == _SCAN:
+                scans += 1
+                if scans > _MOST_SCANS or scans * pixels > _MOST_SCANNED_PIXELS:
+                    raise InputError(f"{scans} scans or more, expected a JPEG as encoders write it")
+                if not progressive:
+                    return
+    except struct.error as error:
+        raise InputError("truncated or damaged: a header of the JPEG is wrong") from error
 
 
 def is_damaged_jpeg(data: bytes) -> bool:
@@ -127,7 +156,9 @@ def _segments(data: bytes) -> Iterator[tuple[int, bytes, int]]:
     at = len(_START)
     while at + 4 <= len(data):
         if data[at] != _MARKER:
-            at += 1  # as decoders do, which look for the next marker
+            at = data.find(_MARKER, at)  # as decoders do
+            if at < 0:
+                return
             continue
         kind = data[at + 1]
         if kind == _MARKER:

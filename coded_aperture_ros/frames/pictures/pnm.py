@@ -2,11 +2,14 @@
 
 import math
 import re
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.text import short
+from coded_aperture_ros.frames.pictures.size import check_size
 
 _PBM = (b"P1", b"P4")
 _ASCII = (b"P1", b"P2", b"P3")
@@ -17,6 +20,7 @@ _PAM_END = b"ENDHDR\n"
 # Spaces and comments between the words of a header.
 _SPACE = rb"(?:\s|#[^\n]*\n)+"
 _MAX_VALUE = 65535
+_MAX_DIGITS = 9
 # A number of channels with alpha, and the number without.
 _WITHOUT_ALPHA = {1: 1, 2: 1, 3: 3, 4: 3}
 
@@ -57,6 +61,7 @@ def read_pnm(data: bytes) -> tuple[NDArray, int]:
         raise InputError("truncated, or its Netpbm header is damaged")
     channels = 3 if kind in _COLOUR else 1
     columns, rows = (_whole(word, "size") for word in header.groups()[:2])
+    check_size(rows, columns)
     shape = rows, columns, channels
     if kind in _FLOAT:
         return _read_floats(data[header.end() :], shape, float(header[3])), 1
@@ -76,6 +81,7 @@ def _read_pam(data: bytes) -> tuple[NDArray, int]:
     )
     if channels not in _WITHOUT_ALPHA:
         raise InputError(f"PAM of {channels} channels, expected grey or RGB")
+    check_size(rows, columns)
     shape = rows, columns, channels
     pixels = _integers(data[end + len(_PAM_END) :], _PAM, shape, white)
     return pixels, white
@@ -107,11 +113,13 @@ def _integers(body: bytes, kind: bytes, shape: tuple[int, int, int], white: int)
 def _read_words(body: bytes, kind: bytes, shape: tuple[int, int, int]) -> NDArray:
     """Values of an ASCII file; those of a PBM need no space between."""
     body = re.sub(rb"#[^\n]*", b"", body)
-    words = re.findall(rb"[01]" if kind == b"P1" else rb"\d+", body)
+    words = re.finditer(rb"[01]" if kind == b"P1" else rb"\d+", body)
     count = math.prod(shape)
-    if len(words) < count:
+    found = islice(words, count)
+    values = np.fromiter((min(int(word[0][:6]), 2 * _MAX_VALUE) for word in found), np.int32)
+    if len(values) < count:
         raise InputError("truncated: the file ends before its pixels do")
-    return np.array([min(int(word[:6]), 2 * _MAX_VALUE) for word in words[:count]])
+    return values
 
 
 def _read_bits(body: bytes, shape: tuple[int, int, int]) -> NDArray:
@@ -135,6 +143,8 @@ def _read_floats(body: bytes, shape: tuple[int, int, int], scale: float) -> NDAr
 
 def _whole(word: bytes, what: str) -> int:
     """Number of a header, above zero."""
-    if not word.strip().isdigit() or int(word) == 0:
-        raise InputError(f"{what} {word.decode('ascii', 'replace')!r} in the Netpbm header")
+    word = word.strip()
+    if not word.isdigit() or len(word) > _MAX_DIGITS or int(word) == 0:
+        shown = short(word.decode("ascii", "replace"))
+        raise InputError(f"{what} {shown} in the Netpbm header")
     return int(word)

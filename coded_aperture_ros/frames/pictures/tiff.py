@@ -6,11 +6,13 @@ the first of several pages. So the directory of a file is checked, and written a
 """
 
 import dataclasses
+import math
 import re
 import struct
 import zlib
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames.pictures.size import check_size
 
 # Tags of the TIFF 6.0 specification, and of its supplements.
 _SUBFILE_TYPE = 254
@@ -25,6 +27,8 @@ _ORIENTATION = 274
 _SAMPLES = 277
 _STRIP_BYTES = 279
 _PLANAR = 284
+_TILE_WIDTH = 322
+_TILE_HEIGHT = 323
 _TILE_OFFSETS = 324
 _TILE_BYTES = 325
 _EXTRA_SAMPLES = 338
@@ -47,12 +51,19 @@ _SHORT = 3
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4}
 _SIZES |= {16: 8, 17: 8, 18: 8}
 _LETTERS = {1: "B", 3: "H", 4: "I", 6: "b", 8: "h", 9: "i", 13: "I", 16: "Q", 17: "q", 18: "Q"}
+# Of a pixel: RGB, alpha, and some that programs add.
+_MOST_SAMPLES = 16
 _DAMAGED = "truncated, or its TIFF directory is damaged"
+_UNDECODABLE = "damaged: compressed pixels of the TIFF cannot be decoded"
 _UNCOMPRESSED = 1
 _DEFLATE = (8, 32946)
 # More than any encoder reaches with a picture of one colour.
 _LARGEST_COMPRESSION = 20_000
-_MAX_PAGES = 100_000
+_MAX_PAGES = 10_000
+# Entries and strips may share bytes of a file; how many times all of it, at most.
+_MOST_SHARED = 4
+# Compressed pixels are unpacked for their checksum, so many bytes at once.
+_BLOCK_BYTES = 2**20
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,6 +102,7 @@ class _Layout:
         self.count, self.offset = ("Q", "Q") if self.big else ("H", "I")
         self.first_at = 8 if self.big else 4
         self.inline = struct.calcsize(self.offset)
+        self._left = _MOST_SHARED * len(data)
 
     def unpack(self, letters: str, data: bytes, at: int) -> tuple[int, ...]:
         return struct.unpack_from(self.order + letters, data, at)
@@ -108,7 +120,8 @@ class _Layout:
             at += 4 + self.inline
             size = _SIZES.get(kind, 1) * count
             start = at if size <= self.inline else self.unpack(self.offset, data, at)[0]
-            if start + size > len(data):
+            self._left -= size
+            if start + size > len(data) or self._left < 0:
                 raise InputError(_DAMAGED)
             found[tag] = _Entry(kind, count, data[start : start + size])
             at += self.inline
@@ -160,6 +173,7 @@ def readable_tiff(data: bytes) -> ReadableTiff:
         layout = _Layout(data)
         (first,) = layout.unpack(layout.offset, data, layout.first_at)
         directory, following = layout.directory(data, first)
+        _check_size(layout, directory)
         _check_pages(layout, data, directory, following)
         _check_extent(layout, data, directory)
         _check_light(layout, directory)
@@ -168,6 +182,16 @@ def readable_tiff(data: bytes) -> ReadableTiff:
         raise
     except (struct.error, ValueError, LookupError, ArithmeticError) as error:
         raise InputError(_DAMAGED) from error
+
+
+def _check_size(layout: _Layout, directory: _Directory) -> None:
+    """Refuse a picture, or tiles of one, that nobody should allocate."""
+    for wide, high in ((_WIDTH, _HEIGHT), (_TILE_WIDTH, _TILE_HEIGHT)):
+        rows, columns = (layout.numbers(directory.get(tag), (1,))[0] for tag in (high, wide))
+        check_size(rows, columns)
+    samples = layout.numbers(directory.get(_SAMPLES), (1,))[0]
+    if samples > _MOST_SAMPLES:
+        raise InputError(f"TIFF of {samples} channels, expected grey or RGB")
 
 
 def _check_pages(layout: _Layout, data: bytes, first: _Directory, following: int) -> None:
@@ -198,14 +222,17 @@ def _check_extent(layout: _Layout, data: bytes, directory: _Directory) -> None:
     for at, length in ((_STRIP_OFFSETS, _STRIP_BYTES), (_TILE_OFFSETS, _TILE_BYTES)):
         starts = layout.numbers(directory.get(at))
         lengths = layout.numbers(directory.get(length))
+        if sum(lengths) > _MOST_SHARED * len(data):
+            raise InputError(_DAMAGED)
         ends = map(sum, zip(starts, lengths, strict=True))
         if max(ends, default=0) > len(data):
             raise InputError("truncated: the file ends before its pixels do")
         if lengths and sum(lengths) < _least_bytes(layout, directory):
             raise InputError("truncated: there are fewer pixels than its size says")
         if layout.numbers(directory.get(_COMPRESSION), (1,))[0] in _DEFLATE:
+            left = _most_bytes(layout, directory)
             for start, count in zip(starts, lengths, strict=True):
-                _check_deflated(data[start : start + count])
+                left -= _check_deflated(data[start : start + count], left)
 
 
 def _least_bytes(layout: _Layout, directory: _Directory) -> float:
@@ -220,12 +247,33 @@ def _least_bytes(layout: _Layout, directory: _Directory) -> float:
     return whole / 2 if first[_PHOTOMETRIC] == _YCBCR else whole  # with colours at half the size
 
 
-def _check_deflated(coded: bytes) -> None:
-    """Refuse compressed pixels whose checksum is wrong; OpenCV returns what there is of 8 bits."""
+def _most_bytes(layout: _Layout, directory: _Directory) -> int:
+    """Number of bytes that pixels of the declared size take at most, with tiles beyond the edge."""
+    values = [
+        layout.numbers(directory.get(tag), (1,))[0] for tag in (_WIDTH, _HEIGHT, _SAMPLES, _BITS)
+    ]
+    return _MOST_SHARED * math.prod(values) // 8 + _BLOCK_BYTES
+
+
+def _check_deflated(coded: bytes, most: int) -> int:
+    """Number of unpacked bytes, after a check of the checksum.
+
+    OpenCV returns what there is of 8 bits if it is wrong. `most` is the number that may come.
+    """
+    unpacker = zlib.decompressobj()
+    count = 0
     try:
-        zlib.decompress(coded)
+        while not unpacker.eof:
+            block = unpacker.decompress(coded, _BLOCK_BYTES)
+            coded = unpacker.unconsumed_tail
+            count += len(block)
+            if count > most or not (block or coded or unpacker.eof):
+                break
     except zlib.error as error:
-        raise InputError("damaged: compressed pixels of the TIFF cannot be decoded") from error
+        raise InputError(_UNDECODABLE) from error
+    if not unpacker.eof:
+        raise InputError(_UNDECODABLE)
+    return count
 
 
 def _check_light(layout: _Layout, directory: _Directory) -> None:

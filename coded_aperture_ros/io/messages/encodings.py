@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import MOSAICS, decode_picture
 
+_COMPRESSED_FORMATS = ("JPEG", "PNG")
 _GREY_INTEGERS = ("mono8", "8UC1", "mono16", "16UC1")
 # What the format of a compressed mosaic begins with, or names somewhere.
 _MOSAIC_FORMAT = re.compile(rf"bayer_?({'|'.join(MOSAICS)})", re.IGNORECASE)
@@ -138,8 +139,9 @@ def array_from_image(message: Any) -> NDArray:
 def array_from_compressed(message: Any) -> tuple[NDArray, str]:
     """Pixels of a compressed image message, and their encoding.
 
-    The message is a `sensor_msgs/CompressedImage` or anything with its fields; JPEG, PNG or another
-    format that OpenCV reads. Pixels are uint8 or uint16, [row, column] or [row, column, RGB].
+    The message is a `sensor_msgs/CompressedImage` or anything with its fields. It holds JPEG or
+    PNG: whoever sends a message must not choose among all decoders. Pixels are uint8 or uint16,
+    [row, column] or [row, column, RGB].
 
     Their encoding is mono8, mono16, rgb8 or rgb16; or, where grey pixels are a mosaic of colour
     filters, that which `format` names, as image_transport has it: `bayer_rggb8; png compressed`.
@@ -151,7 +153,7 @@ def array_from_compressed(message: Any) -> tuple[NDArray, str]:
             "encoding", f"format {message.format!r} is compressed depth, expected a picture"
         )
     try:
-        pixels = decode_picture(message.data).pixels
+        pixels = decode_picture(message.data, _COMPRESSED_FORMATS).pixels
     except InputError as error:
         what = f"{len(message.data)} bytes of {message.format!r} cannot be read: {error}"
         raise MessageError("data", what) from error
