@@ -69,14 +69,14 @@ def test_other_right_lists_are_not_refused(count, changes):
 def test_exchanged_neighbours_are_named(planes, first):
     wrong = exchanged(planes, first, first + 1)
     found = gains(wrong)
-    assert found[first, first + 1] > 18
+    assert found[first, first + 1] > 30
     with pytest.raises(InputError, match=f"{first + 1}.png.*{first}.png.*seem to be"):
         refuse_exchanged(wrong, found)
 
 
 def test_exchanged_planes_are_told_among_few():
     wrong = exchanged(scene(5), 2, 3)
-    assert gains(wrong)[2, 3] > 18
+    assert gains(wrong)[2, 3] > 30
 
 
 def test_four_planes_are_not_judged():
@@ -91,12 +91,12 @@ def test_planes_with_about_the_same_blur_are_not_judged(planes):
 
 
 def test_one_pair_or_the_planes_of_several_pairs_are_named(planes):
-    quiet = {(i, i + 1): 17.0 for i in range(7)}
+    quiet = {(i, i + 1): 29.0 for i in range(7)}
     refuse_exchanged(planes, quiet)
     with pytest.raises(InputError, match=r"^3.png and 4.png: .* 1.68675 and 1.97183 m.* swapped"):
-        refuse_exchanged(planes, {**quiet, (3, 4): 19.0})
+        refuse_exchanged(planes, {**quiet, (3, 4): 31.0})
     with pytest.raises(InputError, match=r"^3.png, 4.png, 5.png: .*another order.*: .*check that"):
-        refuse_exchanged(planes, {**quiet, (3, 4): 19.0, (4, 5): 20.5})
+        refuse_exchanged(planes, {**quiet, (3, 4): 31.0, (4, 5): 32.5})
 
 
 def test_a_picture_that_is_listed_twice_is_named(planes):
@@ -122,4 +122,4 @@ def test_ray_traced_planes_that_are_exchanged_are_named(data_dir, first):
     mixture = search.mixture()
     assert max(exchange_gains(search, mixture).values()) < 0
     wrong = exchanged(planes, first, first + 1)
-    assert exchange_gains(MaskSearch(wrong, 48), mixture)[first, first + 1] > 18
+    assert exchange_gains(MaskSearch(wrong, 48), mixture)[first, first + 1] > 30
