@@ -67,7 +67,7 @@ class LayerSwitches:
         lasting = {name: value for name, value in wanted.items() if name not in self._while_shown}
         passing = {name: value for name, value in wanted.items() if name in self._while_shown}
         chosen = self.chosen.changed(lasting)
-        values = self.settings.changed(passing).as_values()
+        values = chosen.changed(passing).as_values()
         self.chosen = chosen
         self._while_shown |= {name: values[name] for name in passing}
 

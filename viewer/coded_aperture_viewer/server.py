@@ -181,8 +181,11 @@ class Server:
 
     def _set(self, page: OpenPage, wanted: Any) -> None:
         """Change settings, of this page or of all."""
-        look = self._settings(page).changed(wanted).look
+        if not isinstance(wanted, dict):
+            raise InputError(f"settings: expected names and values, got {short(wanted)}")
         shared = {name: value for name, value in wanted.items() if is_shared(name)}
+        own = {name: value for name, value in wanted.items() if not is_shared(name)}
+        look = self._switches.chosen.with_look(page.look).changed(own).look
         if shared and self._read_only:
             raise InputError(_READ_ONLY)
         self._switches.change(shared)

@@ -89,7 +89,7 @@ class Options:
 
 def show(options: Options) -> None:
     """Serve the page until Ctrl-C."""
-    with _listening_socket(options.host, options.port) as listening:
+    with listening_socket(options.host, options.port) as listening:
         server, token = make_server(options)
         port = listening.getsockname()[1]
         ending = f"?token={token}" if token else ""
@@ -99,7 +99,7 @@ def show(options: Options) -> None:
         print(f"coded_aperture: the viewer is at {page} (Ctrl-C ends it)", flush=True)
         if options.browser:
             webbrowser.open(page)
-        asyncio.run(_serve(server, listening))
+        asyncio.run(serve(server, listening))
 
 
 def make_server(options: Options) -> tuple[Server, str]:
@@ -154,7 +154,8 @@ def _depth_range(bank: FilterBank, camera: Camera) -> tuple[float, float]:
     return float(depths.min()), float(depths.max())
 
 
-def _listening_socket(host: str, port: int) -> socket.socket:
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Socket of an address; an `InputError` if it is taken or there is none such."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         return socket.create_server((host, port), family=family)
@@ -171,7 +172,7 @@ def _reason(error: OSError) -> str:
     return os.strerror(error.errno)
 
 
-async def _serve(server: Server, listening: socket.socket) -> None:
+async def serve(server: Server, listening: socket.socket) -> None:
     """Serve until the program is told to end: Ctrl-C, SIGTERM, or the end of its terminal."""
     loop = asyncio.get_running_loop()
     ended = asyncio.Event()

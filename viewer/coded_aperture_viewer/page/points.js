@@ -1,8 +1,10 @@
 "use strict";
 // Points in space, turned around the middle of the points; all stay in the picture.
-const TURN = { yaw: 1.3, pitch: 1.0 }, ZOOM = { least: 0.5, most: 6 }, FIRST = { yaw: 0.35, pitch: -0.25, closer: 1.4 };
+const TURN = { yaw: 1.3, pitch: 1.0 }, ZOOM = { least: 0.5, most: 6 }, FIRST = { yaw: 0.35, pitch: -0.25, closer: 1 };
 // Half of the angle of view, as a tangent along the shorter side.
 const HALF_VIEW = 0.4;
+// Zooms that are tried for the first view; the last one holds all that is within the radius.
+const FITS = [2.6, 2.3, 2, 1.8, 1.6, 1.4, 1.2, 1];
 // Where no all-in-focus picture comes for so many frames, points have the colours of the coded frame.
 const FRAMES_WITHOUT = 60;
 const BACKGROUND = 0xff181818, AXES = [["x right", "#f55"], ["y down", "#5d5"], ["z away", "#6af"]];
@@ -42,14 +44,29 @@ function findMiddle() {
   });
   const far = Float32Array.from({ length: count }, (_, at) =>
     Math.hypot(...centre.map((value, axis) => positions[3 * at + axis] - value))).sort();
-  state.middle = { centre, radius: Math.max(far[Math.floor(0.98 * (count - 1))], 1e-3) };
+  state.middle = { centre, radius: Math.max(far[Math.floor(0.98 * (count - 1))], 1e-3), fit: 1 };
+  state.middle.fit = FITS.find(fitsEverywhere) ?? 1;
+}
+// Whether nearly all points are in the picture from every direction, with a zoom.
+function fitsEverywhere(fit) {
+  const { cloud: { positions, size, places }, middle } = state, step = Math.ceil(places.length / 300);
+  const directions = [-1, -0.5, 0, 0.5, 1];
+  return directions.every(right => directions.every(down => {
+    const project = projection(size, { yaw: right * TURN.yaw, pitch: down * TURN.pitch, closer: fit / middle.fit });
+    let inside = 0, count = 0;
+    for (let at = 0; at < places.length; at += step, count++) {
+      const [x, y] = project(...positions.subarray(3 * at, 3 * at + 3));
+      inside += x >= 0 && x < size[1] && y >= 0 && y < size[0];
+    }
+    return inside >= 0.95 * count;
+  }));
 }
 // Right, down and depth of a point in pixels of the canvas, seen from outside.
-function projection([rows, columns]) {
-  const { centre: [cx, cy, cz], radius } = state.middle, { yaw, pitch, closer } = state;
+function projection([rows, columns], { yaw, pitch, closer } = state) {
+  const { centre: [cx, cy, cz], radius, fit } = state.middle;
   const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
   const focal = Math.min(rows, columns) / 2 / HALF_VIEW;
-  const away = radius * Math.hypot(1, HALF_VIEW) / HALF_VIEW / closer;
+  const away = radius * Math.hypot(1, HALF_VIEW) / HALF_VIEW / (closer * fit);
   return (x0, y0, z0) => {
     const x1 = x0 - cx, y1 = y0 - cy, z1 = z0 - cz;
     const x = cosY * x1 + sinY * z1, side = -sinY * x1 + cosY * z1;
