@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -154,7 +155,8 @@ def _page(results: Mapping[str, Any]) -> str:
         shares = (row[each] for each in _OVER_FRAMES)
         texts = ("-" if share is None else f"{100 * share:.1f} %" for share in shares)
         name = html.escape(row["name"])
-        link = name if row is results else f'<a href="{name}/{REPORT}/{PAGE}">{name}</a>'
+        address = f"{quote(row['name'])}/{REPORT}/{PAGE}"
+        link = name if row is results else f'<a href="{address}">{name}</a>'
         rows.append("<td>".join(["<tr>", link, str(row["frames"]), str(row["used"]), *texts]))
     for source, reason in results["failed"].items():
         rows.append(f"<tr><td>{html.escape(source)}<td colspan=5>{html.escape(reason)}")

@@ -11,7 +11,7 @@ from coded_aperture_ros.bags.contents import Supplement, Topic
 from coded_aperture_ros.bags.names import METADATA
 from coded_aperture_ros.bags.reading import check_rosbags
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import temporary_folder
+from coded_aperture_ros.core.files import replace_folder, temporary_folder
 
 # Of bags as ROS 2 Jazzy writes them.
 _VERSION = 9
@@ -154,9 +154,8 @@ def bag_output(path: Path, storage: str) -> Iterator[BagWriter]:
             with suppress(OSError, sqlite3.Error):
                 writer.abort()
             raise
-        if path.exists():
-            path.rename(temporary / "replaced")
-        writer.folder.rename(path)
+        # An older bag comes into the temporary folder, and goes with it.
+        replace_folder(writer.folder, path)
 
 
 @contextmanager

@@ -110,6 +110,8 @@ def run(args: Arguments) -> int:
             without_depth.note(named, summary["median"] is not None, summary["cause"])
             if not args.json:
                 print(f"{named.output}: {_text(summary)}")
+        if args.movie and not summaries:
+            skipped.status()  # says why; the movie only that it is empty
     if args.json:
         print(json.dumps(summaries))
     return max(skipped.status(), without_depth.status())

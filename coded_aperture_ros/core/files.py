@@ -1,9 +1,9 @@
 """Output files: written whole or not at all, and checked before long work."""
 
+import ctypes
 import dataclasses
 import errno
 import os
-import secrets
 import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -12,7 +12,11 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.leftovers import remove_leftovers, temporary_name
 
+# Of Linux: names are not relative to an open folder, and are exchanged.
+_HERE = -100
+_RENAME_EXCHANGE = 2
 # Files of the set that is being written, with what renames them; see `output_set`.
 _set: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("output_set", default=None)
 
@@ -45,6 +49,7 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = None
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
+        remove_leftovers(target.parent)
         temporary = _new_file(target)
         yield temporary
         with suppress(FileNotFoundError):
@@ -101,7 +106,7 @@ def output_set() -> Iterator[None]:
 def _new_file(target: Path) -> Path:
     """Empty file beside a target."""
     while True:
-        temporary = target.parent / f".{target.stem}-{secrets.token_hex(4)}{target.suffix}"
+        temporary = target.parent / temporary_name(target.stem, target.suffix)
         with suppress(FileExistsError):
             os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
             return temporary
@@ -143,7 +148,9 @@ def temporary_folder(path: Path) -> Iterator[Path]:
     created = [parent for parent in path.absolute().parents if not parent.exists()]
     path.parent.mkdir(parents=True, exist_ok=True)
     try:
-        temporary = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}-"))
+        remove_leftovers(path.parent)
+        temporary = path.parent / temporary_name(path.name)
+        temporary.mkdir(mode=0o700)
         try:
             yield temporary
         finally:
@@ -202,6 +209,35 @@ class Outputs:
                 f"{self.output}: {'several' if total is None else total} frames do not fit into "
                 "one file, name a folder"
             )
+
+
+def replace_folder(new: Path, path: Path) -> None:
+    """Give a folder the name of another one, which gets the name of the first.
+
+    At every moment a whole folder has the name; where a file system cannot exchange two names, the
+    old one is beside it as `NAME.replaced` if the process is killed in between.
+    """
+    for file in (each for each in new.rglob("*") if each.is_file()):
+        _flush(file)
+    _flush(new)
+    if not path.exists():
+        new.rename(path)
+    elif not _exchange(new, path):
+        old = path.with_name(f"{path.name}.replaced")
+        path.rename(old)
+        new.rename(path)
+        shutil.rmtree(old, ignore_errors=True)
+    _flush(path.parent)
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Exchange two names at once; False if that cannot be done here."""
+    rename = getattr(ctypes.CDLL(None), "renameat2", None)
+    if rename is None:
+        return False
+    names = (os.fsencode(each.absolute()) for each in (one, other))
+    first, second = names
+    return bool(rename(_HERE, first, _HERE, second, _RENAME_EXCHANGE) == 0)
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:

@@ -46,7 +46,14 @@ class Workers:
     def __init__(self, threads: int = 1) -> None:
         check_threads(threads)
         self.threads = threads
-        self._others = ThreadPoolExecutor(threads - 1, "engine") if threads > 1 else None
+        self._pool: ThreadPoolExecutor | None = None
+
+    @property
+    def _others(self) -> ThreadPoolExecutor | None:
+        """Further threads, which begin with the first work, also after `close`; None: none."""
+        if self._pool is None and self.threads > 1:
+            self._pool = ThreadPoolExecutor(self.threads - 1, "engine")
+        return self._pool
 
     def each(
         self, work: Callable[[Item, int], None], items: Sequence[Item], *, sums: bool = False
@@ -62,7 +69,8 @@ class Workers:
             Static scheduling: the same items always go to the same thread. Needed where results
             are added up, which would otherwise differ in their last digits.
         """
-        if self._others is None:
+        pool = self._others
+        if pool is None:
             for item in items:
                 work(item, 0)
             return
@@ -74,7 +82,7 @@ class Workers:
             for item in items[thread :: self.threads] if sums else remaining:
                 work(item, thread)
 
-        others = [self._others.submit(share, thread) for thread in range(1, self.threads)]
+        others = [pool.submit(share, thread) for thread in range(1, self.threads)]
         try:
             share(0)
         finally:
@@ -86,9 +94,10 @@ class Workers:
         self, first: Callable[[], First], second: Callable[[], Second]
     ) -> tuple[First, Second]:
         """Results of two functions, called in two threads if there are as many."""
-        if self._others is None:
+        pool = self._others
+        if pool is None:
             return first(), second()
-        other = self._others.submit(second)
+        other = pool.submit(second)
         try:
             found = first()
         finally:
@@ -96,9 +105,10 @@ class Workers:
         return found, other.result()
 
     def close(self) -> None:
-        """End the threads."""
-        if self._others is not None:
-            self._others.shutdown()
+        """End the threads; further work would begin new ones."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown()
 
 
 def processors() -> int:

@@ -20,6 +20,8 @@ from coded_aperture_ros.frames.view import View
 
 # An earlier stamp than this is not a frame that was overtaken: time itself has gone back.
 _JUMP_NS = 1_000_000_000
+# Networks let one or two frames be overtaken; more of them are time that has gone back by less.
+_LATE_IN_A_ROW = 3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -187,23 +189,29 @@ class StampOrder:
 
     def __init__(self) -> None:
         self._newest_ns: int | None = None
+        self._late = 0
 
     def forget(self) -> None:
         """Take the next frame for the first."""
         self._newest_ns = None
+        self._late = 0
 
     def follow(self, stamp_ns: int) -> str:
         """Say what a frame with this stamp is, and remember it.
 
         That is "next", also for the first frame, and for one without a stamp; "late" if it is older
-        than the newest one by less than a second; "restart" if it is older than that.
+        than the newest one by less than a second; "restart" if it is older than that, or the third
+        late one in a row, as where a short recording begins again.
         """
         if not stamp_ns:
             return "next"
         newest_ns, self._newest_ns = self._newest_ns, stamp_ns
         if newest_ns is None or stamp_ns >= newest_ns:
+            self._late = 0
             return "next"
-        if newest_ns - stamp_ns >= _JUMP_NS:
+        self._late += 1
+        if newest_ns - stamp_ns >= _JUMP_NS or self._late == _LATE_IN_A_ROW:
+            self._late = 0
             return "restart"
         self._newest_ns = newest_ns
         return "late"

@@ -6,6 +6,7 @@ import threading
 import time
 from typing import Any
 
+from rclpy.publisher import Publisher
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
 from sensor_msgs.msg import CameraInfo, Image
@@ -139,6 +140,7 @@ class CameraDriverNode(ManagedNode):
         self._source: Source | None = None
         self._store: CameraInfoStore | None = None
         self._diagnostics: DiagnosticsPublisher | None = None
+        self._static_publisher: Publisher | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()  # ends the thread
         self._failures = 0
@@ -175,7 +177,7 @@ class CameraDriverNode(ManagedNode):
         self._store = CameraInfoStore(self, config.camera_info_url, self._name)
         self._outputs.open()
         if config.base_frame:
-            broadcast_static(
+            self._static_publisher = broadcast_static(
                 self,
                 optical_transform(
                     config.base_frame,
@@ -196,6 +198,9 @@ class CameraDriverNode(ManagedNode):
         self._diagnostics = None
         self._store = None
         self._source = None
+        if self._static_publisher is not None:
+            self.destroy_publisher(self._static_publisher)
+            self._static_publisher = None
         self._outputs.close()
 
     def start_work(self) -> None:

@@ -114,7 +114,7 @@ class FrameModel(Generic[Model]):
         self._prepared: _State[Model] | None = None
         # Set in the executor's thread, taken in the worker's.
         self._next: deque[_State[Model]] = deque(maxlen=1)
-        parameters.on_change(ModelConfig, self._prepare, self._take_over)
+        parameters.on_change(ModelConfig, self._prepare, self._take_over, reads_files=True)
 
     @property
     def camera(self) -> Camera:

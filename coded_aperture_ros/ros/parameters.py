@@ -17,10 +17,12 @@ from rclpy.parameter import Parameter
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import Option, check_option, options_of, parameter_names
+from coded_aperture_ros.core.text import shortened
 
 Config = TypeVar("Config")
 
 _LARGEST_INTEGER = 2**63 - 1
+_SEE_LOG = "the file or value could not be used: the log of the node says why"
 
 
 class _Setting(NamedTuple):
@@ -65,6 +67,8 @@ class NodeParameters:
         for prefix, config in fixed.items():
             self._declare(node, config, prefix, read_only=True)
         self._listeners: dict[type, tuple[Callable[[Any], None], Callable[[Any], None]]] = {}
+        self._reading_files: set[type] = set()
+        self._logger = node.get_logger()
         node.add_pre_set_parameters_callback(self._with_types)
         node.add_on_set_parameters_callback(self._check)
         node.add_post_set_parameters_callback(self._apply)
@@ -78,12 +82,18 @@ class NodeParameters:
         config_type: type[Config],
         prepare: Callable[[Config], None],
         take_over: Callable[[Config], None],
+        *,
+        reads_files: bool = False,
     ) -> None:
         """Register callbacks for changes of a configuration.
 
         `prepare` gets the new configuration before it is set, and may refuse it with an
-        `InputError`; `take_over` gets it after it has been set.
+        `InputError`; `take_over` gets it after it has been set. Where it reads files that the
+        configuration names, whoever sets a parameter must not learn from the answer which files
+        there are, nor what is in them: the log of the node has the reason.
         """
+        if reads_files:
+            self._reading_files.add(config_type)
         self._listeners[config_type] = prepare, take_over
 
     def forget_listeners(self) -> None:
@@ -136,14 +146,31 @@ class NodeParameters:
                 if setting := self._settings.get(parameter.name):
                     check_option(parameter.name, parameter.value, setting.kind, setting.described)
             for owner, config in self._changed(parameters).items():
-                if owner in self._listeners and config != self._configs[owner]:
-                    self._listeners[owner][0](config)
+                listened = owner in self._listeners and config != self._configs[owner]
+                if listened and (reason := self._refusal(owner, config)):
+                    return SetParametersResult(successful=False, reason=reason)
         except InputError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=shortened(str(error), 1000))
+        except Exception as error:  # whatever comes with a request, the node goes on
+            self._logger.error(f"parameters not set: {type(error).__name__}: {error}")
+            return SetParametersResult(successful=False, reason=_SEE_LOG)
         return SetParametersResult(successful=True)
+
+    def _refusal(self, owner: type, config: Any) -> str:
+        """Why a configuration cannot be set, for whoever asked for it; empty: it can."""
+        try:
+            self._listeners[owner][0](config)
+        except Exception as error:
+            if isinstance(error, InputError) and owner not in self._reading_files:
+                return shortened(str(error), 1000)
+            kind = "" if isinstance(error, InputError) else f"{type(error).__name__}: "
+            self._logger.warning(f"parameters not set: {kind}{error}")
+            return _SEE_LOG
+        return ""
 
     def _apply(self, parameters: list[Parameter]) -> None:
         for owner, config in self._changed(parameters).items():
+            # Nothing that `prepare` has accepted fails here.
             changed = config != self._configs[owner]
             self._configs[owner] = config
             if changed and owner in self._listeners:

@@ -105,7 +105,9 @@ class RateLimit:
         self._due_s = min(self._due_s, now_s + period_s)  # the limit may have been lower before
         if now_s < self._due_s:
             return False
-        self._due_s = max(self._due_s, now_s - period_s) + period_s
+        self._due_s += period_s
+        if self._due_s <= now_s:  # after a pause
+            self._due_s = now_s + period_s
         return True
 
 

@@ -4,6 +4,7 @@ import math
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from coded_aperture_ros.core.errors import InputError
@@ -50,10 +51,10 @@ def optical_transform(
     return transform
 
 
-def broadcast_static(node: Node, transform: TransformStamped) -> None:
-    """Publish a transform on /tf_static once, latched for late subscribers.
+def broadcast_static(node: Node, transform: TransformStamped) -> Publisher | None:
+    """Publisher of a transform on /tf_static, latched for late subscribers: who calls destroys it.
 
-    Without tf2_msgs it warns instead.
+    Without tf2_msgs it warns instead, and there is none.
     """
     try:
         from tf2_msgs.msg import TFMessage
@@ -62,7 +63,9 @@ def broadcast_static(node: Node, transform: TransformStamped) -> None:
             "static transform not published: tf2_msgs is not installed, "
             "sudo apt install ros-jazzy-tf2-msgs"
         )
-        return
+        return None
     qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     transform.header.stamp = node.get_clock().now().to_msg()
-    node.create_publisher(TFMessage, "/tf_static", qos).publish(TFMessage(transforms=[transform]))
+    publisher: Publisher = node.create_publisher(TFMessage, "/tf_static", qos)
+    publisher.publish(TFMessage(transforms=[transform]))
+    return publisher

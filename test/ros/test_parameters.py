@@ -183,3 +183,36 @@ def test_a_parameter_goes_by_the_name_of_its_group(make, warned):
     assert parameters[Config].free == 6.0
     assert warned == []
     assert not node.has_parameter("free")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        InputError("cannot read /etc/shadow: got 'root:x:0'"),
+        MemoryError(),
+        RecursionError("too deep"),
+        OverflowError("too large"),
+        OSError(13, "Permission denied", "/etc/shadow"),
+        KeyError("root"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+@pytest.mark.parametrize("reads_files", [True, False])
+def test_whoever_sets_a_parameter_learns_nothing_of_files(make, error, reads_files):
+    node, parameters = make()
+
+    def prepare(config):
+        raise error
+
+    parameters.on_change(Config, prepare, lambda config: None, reads_files=reads_files)
+    before = parameters[Config]
+    result = change(node, weight=1.0)
+    assert not result.successful
+    if reads_files or not isinstance(error, InputError):
+        assert "root" not in result.reason and "shadow" not in result.reason
+        assert "log of the node" in result.reason
+    else:
+        assert result.reason == str(error)
+    assert parameters[Config] is before
+    parameters.forget_listeners()
+    assert change(node, weight=1.0).successful

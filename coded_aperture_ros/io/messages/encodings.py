@@ -25,6 +25,10 @@ class MessageError(InputError):
         super().__init__(message)
         self.kind = kind
 
+    def __reduce__(self) -> tuple[type, tuple[str, str]]:
+        """Both arguments: pools of processes send exceptions to each other."""
+        return type(self), (self.kind, str(self))
+
 
 @dataclass(frozen=True)
 class Encoding:
