@@ -989,7 +989,7 @@ def test_depth_and_deblurring_together(ros, model, coded):
     ],
 )
 def test_a_camera_file_that_cannot_be_used_is_refused_while_the_node_runs(
-    ros, model, coded, tmp_path, changed, why
+    ros, model, coded, tmp_path, changed, why, capfd
 ):
     values = yaml.safe_load(Path(model["camera_file"]).read_text())
     other = tmp_path / "other.yaml"
@@ -997,6 +997,23 @@ def test_a_camera_file_that_cannot_be_used_is_refused_while_the_node_runs(
     chain = Chain(ros, model)
     (result,) = chain.node.set_parameters([Parameter("camera_file", value=str(other))])
     assert not result.successful
-    assert why in result.reason
+    # Others must not learn what is in files.
+    assert "log of the node" in result.reason
+    assert why not in result.reason
+    assert why in capfd.readouterr().err
     depth = array_from_image(chain.result(mono8(coded)))
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+
+
+@pytest.mark.parametrize(
+    "content", ["[" * 3000, "/dev/zero", "/etc/passwd", "/", "/missing", "a: &a [*a]"]
+)
+def test_a_hostile_camera_file_does_not_end_a_node(ros, model, coded, tmp_path, content):
+    other = tmp_path / "other.yaml"
+    other.write_text(content)
+    name = content if content.startswith("/") else str(other)
+    chain = Chain(ros, model)
+    (result,) = chain.node.set_parameters([Parameter("camera_file", value=name)])
+    assert not result.successful
+    assert result.reason == "the file or value could not be used: the log of the node says why"
+    assert np.isfinite(array_from_image(chain.result(mono8(coded)))).any()
