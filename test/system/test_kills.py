@@ -51,6 +51,7 @@ def inputs(tmp_path_factory):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", ["bag", "learn", "depth"])
 def test_a_kill_leaves_a_whole_result(inputs, tmp_path, kind):
+    out = tmp_path / "out"
     bank = "--bank", inputs / "bank.npz"
     camera = "--camera", inputs / "camera.yaml"
     of_bag = "--temporal-frames", "0", "--overwrite", "-o", out
