@@ -5,7 +5,7 @@ through `FramePipeline`; `docs/architecture.md` walks on from here.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from typing import Any
 
@@ -20,16 +20,12 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator,
 from coded_aperture_ros.depth.levels import check_camera
 from coded_aperture_ros.depth.range_check import checked_blur_sizes_px
 from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
-from coded_aperture_ros.frames.frame import StampOrder
+from coded_aperture_ros.frames.frame import LateFrameError, StampOrder
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.optics import Camera
 
 # PSFs alone are enough for deblurring by depth from elsewhere.
 AnyModel = LikelihoodModel | RenderedLevels
-
-
-class LateFrameError(InputError):
-    """A frame of a video is older than the one before it."""
 
 
 class FramePipeline:
@@ -273,10 +269,22 @@ class FramePipeline:
         else:
             self._deblurrer.reconfigure(config)
 
-    def prepare_deblurring(self, shape: Shape) -> None:
-        """Compute beforehand what the first frame of a shape that is deblurred would wait for."""
-        if self._deblurrer is not None:
-            self._deblurrer.prepare(shape)
+    def fit(
+        self,
+        camera: Camera | None,
+        frame: Frame,
+        new_model: Callable[[Camera], AnyModel] | None = None,
+    ) -> None:
+        """Go on with a camera of the whole view, scaled to that of a frame; None: stay as it is.
+
+        `new_model` makes the model of a camera, where it is no bank from a file.
+        """
+        if camera is None:
+            return
+        resized = camera.resized(*frame.whole_size)
+        if resized != self.camera:
+            model = None if new_model is None else new_model(resized)
+            self.reconfigure(model=model, camera=resized)
 
     def warm_up(self, shape: Shape) -> None:
         """Do beforehand what the first frame would wait for: plan, and compile loops.

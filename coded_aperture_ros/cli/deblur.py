@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.cli.command import Command, argument, group
-from coded_aperture_ros.cli.estimation import fit_camera
 from coded_aperture_ros.cli.estimation_arguments import CameraArguments
 from coded_aperture_ros.cli.frames import InputArguments, SkippedInputs, named_frames
 from coded_aperture_ros.cli.rules import needs, only_with
@@ -210,7 +209,7 @@ class _Restorer:
 
     def restored(self, frame: Frame) -> tuple[FloatArray, DepthEstimate | FloatArray]:
         """All-in-focus picture of a frame, and the depth that it was made with."""
-        fit_camera(self._pipeline, self._camera, frame)
+        self._pipeline.fit(self._camera, frame)
         depth = self._pipeline(frame) if self._depth_m is None else self._depth_for(frame.shape)
         return self._pipeline.deblur(frame, depth, self._motion_px), depth
 

@@ -23,12 +23,7 @@ from coded_aperture_ros.cli.depth_pictures import (
     write_pictures,
 )
 from coded_aperture_ros.cli.depth_video import look_ahead, with_second_focus
-from coded_aperture_ros.cli.estimation import (
-    estimates_motion,
-    fit_camera,
-    known_motion,
-    make_pipeline,
-)
+from coded_aperture_ros.cli.estimation import estimates_motion, known_motion, make_pipeline
 from coded_aperture_ros.cli.frames import (
     InputsWithoutDepth,
     NamedFrame,
@@ -148,7 +143,7 @@ def _estimates(
     def suited(named: NamedFrame) -> NamedFrame:
         """Frame of the bank's size, for which the pipeline is made."""
         named = named.suited(bank, args.frame_scale)
-        fit_camera(pipeline, camera, named.frame, new_model)
+        pipeline.fit(camera, named.frame, new_model)
         return named
 
     for _, video in groupby(frames, key=lambda named: named.video):

@@ -2,7 +2,6 @@
 
 import dataclasses
 import logging
-from collections.abc import Callable
 
 from coded_aperture_ros.cli.command import UsageError
 from coded_aperture_ros.cli.estimation_arguments import EstimationArguments
@@ -11,13 +10,13 @@ from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
-from coded_aperture_ros.frames import ExpectedMotion, Frame
+from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import check_setting, load_bank
 from coded_aperture_ros.likelihood.choose import new_model
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.rotation import expected_motion
-from coded_aperture_ros.pipeline import AnyModel, FramePipeline
+from coded_aperture_ros.pipeline import FramePipeline
 
 
 def estimates_motion(args: EstimationArguments) -> bool:
@@ -100,21 +99,3 @@ def known_motion(args: EstimationArguments, camera: Camera | None) -> ExpectedMo
     if args.angular_velocity is None or args.exposure is None or camera is None:
         return None
     return expected_motion(args.angular_velocity, args.exposure, camera.intrinsics)
-
-
-def fit_camera(
-    pipeline: FramePipeline,
-    camera: Camera | None,
-    frame: Frame,
-    new_model: Callable[[Camera], AnyModel] | None = None,
-) -> None:
-    """Bring a pipeline to the camera of the whole view of a frame, if there is a camera.
-
-    `new_model` makes the model of a camera, where none was learned before.
-    """
-    if camera is None:
-        return
-    resized = camera.resized(*frame.whole_size)
-    if resized != pipeline.camera:
-        model = None if new_model is None else new_model(resized)
-        pipeline.reconfigure(model=model, camera=resized)

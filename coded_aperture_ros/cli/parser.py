@@ -7,12 +7,12 @@ import textwrap
 import types
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NoReturn, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from coded_aperture_ros.cli.command import Argument, Command, UsageError, did_you_mean
 from coded_aperture_ros.cli.rules import Setting, broken
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.files import check_folder
 from coded_aperture_ros.core.options import Option, check_option
 
 Arguments = TypeVar("Arguments")
@@ -122,7 +122,9 @@ def parsed(command: Command[Arguments], program: str, words: Sequence[str]) -> A
     given = vars(parser.parse_args(words))
     fields = fields_of(command.arguments)
     if not given.pop(_PARENTS, False):
-        _check_folders(fields, given)
+        for field in fields:
+            if getattr(field.option, "is_output", False) and given.get(field.path) is not None:
+                check_folder(given[field.path])
     settings = {
         field.path: Setting(field.flag, given.get(field.path, field.default), field.default)
         for field in fields
@@ -130,22 +132,6 @@ def parsed(command: Command[Arguments], program: str, words: Sequence[str]) -> A
     for message in broken(command.rules, settings):
         raise UsageError(message)
     return _built(command.arguments, None, given, "", {one.path: one.flag for one in fields})
-
-
-def _check_folders(fields: Sequence[Field], given: Mapping[str, Any]) -> None:
-    for field in fields:
-        value = given.get(field.path)
-        if value is None or not getattr(field.option, "is_output", False):
-            continue
-        # As `frames.Outputs` tells a file from a folder.
-        path = Path(value)
-        is_folder = str(value).endswith("/") or not path.suffix or path.is_dir()
-        existing = next((each for each in path.parents if each.exists()), path.parent)
-        # That a file has the name of a folder is told by `check_output`.
-        if not is_folder and existing.is_dir() and existing != path.parent:
-            raise InputError(
-                f"cannot write {path}: there is no folder {path.parent}: make it, or add --parents"
-            )
 
 
 def _built(arguments: Any, default: Any, given: Mapping[str, Any], path: str, flags: Any) -> Any:

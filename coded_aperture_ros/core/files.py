@@ -246,6 +246,22 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
         raise InputError(f"{path}: unknown format, use a name that ends in {' or '.join(suffixes)}")
 
 
+def check_folder(path: str | os.PathLike[str]) -> None:
+    """Raise an `InputError` if the folder of an output file does not exist; folders are made.
+
+    As `Outputs` tells one from the other: a file has a suffix.
+    """
+    target = Path(path)
+    if str(path).endswith("/") or not target.suffix or target.is_dir():
+        return
+    existing = next((each for each in target.parents if each.exists()), target.parent)
+    # That a file has the name of a folder is told by `check_output`.
+    if existing.is_dir() and existing != target.parent:
+        raise InputError(
+            f"cannot write {target}: there is no folder {target.parent}: make it, or add --parents"
+        )
+
+
 def check_output(
     paths: str | os.PathLike[str] | Iterable[Path],
     inputs: Iterable[Path] = (),

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.grey import check_frame, resampled
 from coded_aperture_ros.frames.light import (
@@ -182,6 +183,10 @@ class PixelFormat:
             light = grey_from_mosaic(light, self.mosaic)
         hidden = compression_noise(compression_loss, light, self.gamma)
         return Frame(light, colour=picture, compression_noise=hidden, **known)
+
+
+class LateFrameError(InputError):
+    """A frame of a video is older than the one before it."""
 
 
 class StampOrder:

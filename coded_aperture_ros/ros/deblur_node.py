@@ -14,7 +14,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, blur_levels, covers_frame
 from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.depth import check_depth_range
-from coded_aperture_ros.frames.frame import StampOrder
+from coded_aperture_ros.frames.frame import LateFrameError, StampOrder
 from coded_aperture_ros.io.messages import (
     MessageError,
     array_from_image,
@@ -24,7 +24,7 @@ from coded_aperture_ros.io.messages import (
     pixels_from_frame,
 )
 from coded_aperture_ros.likelihood.bank import FilterBank
-from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
+from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.messages import compressed_message, image_from_array, stamp_ns
@@ -70,7 +70,6 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         )
         camera = self._model.whole
         self._pipeline = FramePipeline(self._model.model, camera, deblur=self.configs[DeblurConfig])
-        self._pipeline.prepare_deblurring((camera.image_height, camera.image_width))
 
     def unload(self) -> None:
         """End the threads of the pipeline."""
@@ -158,7 +157,7 @@ class DeblurNode(FrameNode[tuple[Image, Image]]):
         camera = self._model.whole
         if model is not pipeline.model or camera != pipeline.camera:
             pipeline.reconfigure(model=model, camera=camera)
-            pipeline.prepare_deblurring((camera.image_height, camera.image_width))
+            pipeline.warm_up((camera.image_height, camera.image_width))
         pipeline.reconfigure(deblur=self.configs[DeblurConfig])
         if self._restarting.is_set():
             self._restarting.clear()

@@ -31,6 +31,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
+from coded_aperture_ros.frames.frame import LateFrameError
 from coded_aperture_ros.io.messages import (
     DEPTH_FORMATS,
     MessageError,
@@ -47,7 +48,7 @@ from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_motion
 from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.distortion import pixel_rays
-from coded_aperture_ros.pipeline import FramePipeline, LateFrameError
+from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig

@@ -13,9 +13,9 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import Frame, KnownNoise, View, channel_noise
+from coded_aperture_ros.frames.frame import LateFrameError
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
 from coded_aperture_ros.optics import camera_from_mapping
-from coded_aperture_ros.pipeline import LateFrameError
 
 SECOND_NS = 1_000_000_000
 
