@@ -14,5 +14,9 @@ RUN apt-get update \
 RUN source /opt/ros/jazzy/setup.bash && colcon build
 # The entry point of the image sources ROS; this adds the workspace.
 RUN sed -i 's#^exec#source /ws/install/setup.bash\nexec#' /ros_entrypoint.sh
+# Nothing here needs to be root.
+RUN useradd --create-home ros
+USER ros
+WORKDIR /home/ros
 CMD ["bash", "-c", "ros2 launch coded_aperture_ros pipeline.launch.py source:=simulator \
     near_m:=2.1 far_m:=5.1 camera_file:=$(ros2 pkg prefix --share coded_aperture_ros)/config/demo_camera.yaml"]

@@ -1,5 +1,6 @@
 """Installation by pip and by colcon (ament_python)."""
 
+import os
 import re
 from glob import glob
 from pathlib import Path
@@ -13,6 +14,11 @@ VERSION = re.search(r'^__version__ = "(.+)"$', (HERE / NAME / "__init__.py").rea
 # PyMaxflow is GPL-3 and has wheels for x86_64 only. It is imported only where graph cuts are asked
 # for; everything else works without it, and this package itself stays Apache-2.0.
 GRAPH_CUTS = "PyMaxflow>=1.3"
+
+# Wheels before 4.8.1.78 carry a libwebp with a known hole (CVE-2023-4863). Ubuntu's package 4.6 is
+# patched, and is tested: `make test-oldest` installs the wheel of that version, and sets this.
+OLDEST = "CODED_APERTURE_OLDEST" in os.environ
+OPENCV = f"opencv-python-headless>={'4.6' if OLDEST else '4.8.1.78'}"
 
 setup(
     name=NAME,
@@ -46,7 +52,7 @@ setup(
     install_requires=[
         "numpy>=1.26",
         "scipy>=1.11",
-        "opencv-python-headless>=4.6",
+        OPENCV,
         # Compiles the loops that NumPy would need many passes for; works without it, slower.
         "numba>=0.58",
         "PyYAML>=6.0",

@@ -42,6 +42,10 @@ if [[ ! -e $finished ]]; then
     "$python" -m venv --clear "$folder"
 fi
 rm -f "$finished"
+# The oldest versions are those of Ubuntu's packages; see setup.py.
+if [[ -n $constraints ]]; then
+    export CODED_APERTURE_OLDEST=1
+fi
 "$folder/bin/python" -m pip install --quiet --disable-pip-version-check \
     ${constraints:+--constraint "$constraints"} --editable ".[$extras]"
 touch "$finished"

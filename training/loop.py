@@ -112,7 +112,7 @@ class Fit:
             self._network.load_state_dict(averaged_weights(start))
             self._average.load_state_dict(self._network.state_dict())
         if path.exists():
-            self._resume(torch.load(path))
+            self._resume(torch.load(path, weights_only=True))
 
     def run(self) -> None:
         """Fit until the time is spent; print what is lost, and save, every few minutes."""
@@ -184,7 +184,7 @@ def averaged_weights(path: Path) -> dict[str, torch.Tensor]:
     """Average of the weights in the file of a fit."""
     if not path.exists():
         raise SystemExit(f"{path}: no such file: run the step 'fit' before")
-    weights: dict[str, torch.Tensor] = torch.load(path)["average"]
+    weights: dict[str, torch.Tensor] = torch.load(path, weights_only=True)["average"]
     return weights
 
 

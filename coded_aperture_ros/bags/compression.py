@@ -2,12 +2,13 @@
 
 import zlib
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any
-
-from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
 from coded_aperture_ros.bags.damage import zstd
 
+# What rosbags itself depends on, as `zstd`.
+_lz4: Any = import_module("lz4.frame")
 # A message, or a chunk of messages, unpacked. Recorders make chunks of a megabyte.
 LARGEST_UNPACKED_BYTES = 2**28
 # All that a file holds, unpacked: so many bytes, and so many for each of its own. Frames without
@@ -16,7 +17,7 @@ _UNPACKED_BYTES = 2**28
 _LARGEST_RATIO = 1000
 _NEW_DECOMPRESSORS: dict[str, Callable[[], Any]] = {
     "zstd": zstd.ZstdDecompressor,
-    "lz4": LZ4FrameDecompressor,
+    "lz4": _lz4.LZ4FrameDecompressor,
 }
 
 

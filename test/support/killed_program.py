@@ -46,6 +46,7 @@ def run(folder, kind, kills, seed, words):
     """Number of runs that were killed, and descriptions of what was wrong."""
     name, check = CHECKS[kind]
     chance = random.Random(seed)
+    os.waitpid(begin(words), 0)  # compiles
     started_s = time.monotonic()
     _, status = os.waitpid(begin(words), 0)
     whole_s = time.monotonic() - started_s
@@ -69,7 +70,8 @@ def run(folder, kind, kills, seed, words):
     _, status = os.waitpid(begin(words), 0)
     if status:
         faults.append(f"last run ended with {status}")
-    check(folder / name)
+    else:
+        check(folder / name)
     faults += [f"left: {path.name}" for path in folder.iterdir() if path.name != name]
     return {"killed": killed, "seconds": whole_s, "faults": faults}
 

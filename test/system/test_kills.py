@@ -58,7 +58,7 @@ def test_a_kill_leaves_a_whole_result(inputs, tmp_path, kind):
     words = {
         "bag": [inputs / "recording", *bank, *camera, *of_bag],
         "learn": ["--depth-range", "1.3", "4", *camera, "-o", f"{out}.npz"],
-        "depth": [inputs / "frame.png", *bank, "-o", f"{out}.npy"],
+        "depth": [inputs / "frame.png", *bank, *camera, "-o", f"{out}.npy"],
     }[kind]
     done = subprocess.run(
         [sys.executable, killed_program.__file__, tmp_path, kind, str(KILLS), "1", kind, *words],

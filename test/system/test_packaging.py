@@ -2,6 +2,7 @@
 
 import ast
 import re
+import runpy
 import sys
 import xml.etree.ElementTree as ElementTree
 from importlib import import_module
@@ -101,6 +102,22 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
     assert {apt_names.get(name, name) for name in foreign} <= declared
 
 
+@pytest.mark.parametrize(("oldest", "admits"), [(True, True), (False, False)])
+def test_wheels_of_opencv_with_a_hole_are_for_tests_only(checkout, monkeypatch, oldest, admits):
+    given = {}
+    monkeypatch.setattr("setuptools.setup", lambda **arguments: given.update(arguments))
+    monkeypatch.chdir(checkout)
+    monkeypatch.delenv("CODED_APERTURE_OLDEST", raising=False)
+    if oldest:
+        monkeypatch.setenv("CODED_APERTURE_OLDEST", "1")
+    runpy.run_path(str(checkout / "setup.py"))
+    requirements = map(Requirement, given["install_requires"])
+    (opencv,) = (each for each in requirements if each.name == "opencv-python-headless")
+    assert opencv.specifier.contains("4.8.1.78")
+    for version in ("4.6.0.66", "4.7.0.72", "4.8.0.76"):
+        assert opencv.specifier.contains(version) == admits
+
+
 def test_runtime_requirements_admit_what_ubuntu_24_04_has(requirements):
     apt = {
         "numpy": "1.26.4",
@@ -113,7 +130,9 @@ def test_runtime_requirements_admit_what_ubuntu_24_04_has(requirements):
     runtime = {r.name.lower(): r for r in requirements if "extra" not in str(r.marker)}
     assert set(runtime) == {*apt, "pymaxflow"}
     for name, version in apt.items():
-        assert runtime[name].specifier.contains(version)
+        # The wheel of Ubuntu's OpenCV has a hole that Ubuntu's package has not; see setup.py.
+        if name != "opencv-python-headless":
+            assert runtime[name].specifier.contains(version)
     assert not runtime["pymaxflow"].marker.evaluate({"platform_machine": "aarch64"})
     assert runtime["pymaxflow"].marker.evaluate({"platform_machine": "x86_64"})
 
