@@ -1,14 +1,13 @@
 """Reading of YAML files that somebody else may have written."""
 
 import os
-import stat
 from collections.abc import Hashable
-from pathlib import Path
 from typing import Any
 
 import yaml
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.input_file import read_bytes
 
 # Calibrations and settings have a few kilobytes.
 _LARGEST_BYTES = 2**20
@@ -38,9 +37,9 @@ def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
     ...     read_yaml(file, "a.yaml")
     {'image_width': 640}
     """
-    text = _text(Path(path), name)
+    data = read_bytes(path, name, _LARGEST_BYTES)
     try:
-        return yaml.load(text, _Loader)
+        return yaml.load(data.decode("utf-8"), _Loader)
     except _RefusedError as error:
         raise InputError(f"{name}: {error}") from error
     # Also dates, escapes, numbers, and brackets within brackets.
@@ -48,20 +47,6 @@ def read_yaml(path: str | os.PathLike[str], name: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         raise InputError(f"{name}: not valid YAML{line}") from error
-
-
-def _text(path: Path, name: str) -> str:
-    try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode) and found.st_size <= _LARGEST_BYTES:
-            return path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"cannot read {name}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InputError(f"{name}: not valid YAML: expected text in UTF-8") from error
-    if not stat.S_ISREG(found.st_mode):
-        raise InputError(f"{name}: not a regular file")
-    raise InputError(f"{name}: larger than 1 MiB: not a file of settings")
 
 
 class _RefusedError(Exception):
