@@ -72,7 +72,7 @@ def run(folder, kind, kills, seed, words):
         faults.append(f"last run ended with {status}")
     else:
         check(folder / name)
-    faults += [f"left: {path.name}" for path in folder.iterdir() if path.name != name]
+    faults += [f"left: {path.name}" for path in folder.glob(".*")]
     return {"killed": killed, "seconds": whole_s, "faults": faults}
 
 
