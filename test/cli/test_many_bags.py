@@ -177,7 +177,7 @@ def test_a_worker_that_is_killed_costs_no_bag(scene, tmp_path):
     names = ["one", "two", "three"]
     for name in names:
         write_bag(tmp_path / "in" / name, recording(scene, frames=40))
-    line = command(scene, tmp_path / "in", tmp_path / "out", names=names)
+    line = command(scene, tmp_path / "in", tmp_path / "out", "--gamma", 1, names=names)
     program = [sys.executable, "-m", "coded_aperture_ros", *map(str, line)]
     asked = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
