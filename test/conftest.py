@@ -49,6 +49,14 @@ if find_spec("rclpy"):
 DATA = "CODED_APERTURE_DATA"
 
 
+@pytest.fixture(autouse=True)
+def gamma_is_assumed_without_a_word():
+    """The hint comes once in a process: which test gets it would depend on their order."""
+    from coded_aperture_ros.cli.reading import GammaArguments
+
+    GammaArguments.gamma.is_told = True
+
+
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
     """Folder of the real and the ray-traced images."""
