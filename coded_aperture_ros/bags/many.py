@@ -17,7 +17,6 @@ from coded_aperture_ros.bags.page import JSON, PAGE, html_page
 from coded_aperture_ros.bags.writing import describe_write_errors
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs
-from coded_aperture_ros.core.text import listed
 
 # How the frames of a bag, or of all bags, are summed up: every one counts the same.
 _OVER_FRAMES: dict[str, Callable[[Any], Any]] = {
@@ -46,7 +45,7 @@ class Job:
         was = {**found, **found["settings"]}
         wanted = {"input": str(self.source), **settings}
         if other := [f"{name} {was.get(name)}" for name in wanted if was.get(name) != wanted[name]]:
-            what = f"{self.target} has results of {listed(other, most=len(other))}"
+            what = f"{self.target} has results of {', '.join(other)}"
             raise InputError(f"{what}: use another folder, or --overwrite")
         return True
 

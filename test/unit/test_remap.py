@@ -207,7 +207,7 @@ def change(ros, name, value):
 
 
 @pytest.mark.parametrize("kind", ["learned", "planes"])
-def test_a_node_takes_a_new_camera_file(ros, tmp_path, kind):
+def test_a_node_takes_a_new_camera_file(ros, tmp_path, capfd, kind):
     from node_chains import Chain, mono8
 
     old, new = written(tmp_path, CAMERA, "old.yaml"), {**CAMERA, "focus_distance_m": 0.9}
@@ -245,7 +245,8 @@ def test_a_node_takes_a_new_camera_file(ros, tmp_path, kind):
     ):
         result = change(ros, "camera_file", str(path))
         assert not result.successful
-        assert reason in result.reason
+        assert "the log of the node says why" in result.reason
+        assert reason in capfd.readouterr().err
         assert chain.node.get_parameter("camera_file").value == str(new_file)
     assert median_depth_m(chain, mono8(coded[new_file])) == pytest.approx(2.0, rel=0.08)
     result = change(ros, "near_m", 1.0)
