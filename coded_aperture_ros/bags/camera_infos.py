@@ -8,9 +8,10 @@ from operator import attrgetter
 from typing import Any
 
 from coded_aperture_ros.bags import codec
-from coded_aperture_ros.bags.contents import BagMessage
+from coded_aperture_ros.bags.contents import BagMessage, Topic
 from coded_aperture_ros.bags.pairing import DOUBTFUL_NS, TOLERANCE_NS
 from coded_aperture_ros.bags.reading import Bag
+from coded_aperture_ros.bags.topics import camera_info_topic
 from coded_aperture_ros.io.messages import CameraInfos, MessageError, has_matrices
 
 # Messages that wait for the camera model of a frame before them, at most.
@@ -20,11 +21,12 @@ _WAITING_BYTES = 32 * 2**20
 _KEPT_INFOS = 100
 
 
-def first_info(bag: Bag, topic: str | None) -> Any:
-    """First camera model of a topic that has a calibration.
+def first_info(bag: Bag, image: Topic) -> Any:
+    """First camera model of a topic of images that has a calibration.
 
     Without one, the first that says what frames show of the view; None if there is neither.
     """
+    topic = camera_info_topic(bag.topics, image)
     infos = CameraInfos()
     for message in () if topic is None else bag.messages(topic):
         with suppress(MessageError):
@@ -33,6 +35,17 @@ def first_info(bag: Bag, topic: str | None) -> Any:
         if found is not None and has_matrices(found):
             break
     return infos.at(0)
+
+
+def frames_with_infos(
+    bag: Bag, image: Topic, first: Any, refuse: Callable[[str], None] = lambda reason: None
+) -> Iterator[tuple[BagMessage, Any]]:
+    """Yield the frames of a bag, each with its camera model; see `with_infos`."""
+    info_topic = camera_info_topic(bag.topics, image)
+    topics = (image.name,) if info_topic is None else (image.name, info_topic)
+    for message, info in with_infos(bag.messages(*topics), image.name, info_topic, first, refuse):
+        if message.topic == image.name:
+            yield message, info
 
 
 def with_infos(

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags import frames
-from coded_aperture_ros.bags.camera_infos import first_info, with_infos
+from coded_aperture_ros.bags.camera_infos import first_info, frames_with_infos
 from coded_aperture_ros.bags.codec import IMAGE, new_topic, read_picture
 from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.bags.engine import in_order, workers_starting
@@ -152,7 +152,8 @@ class BagConversion:
     def _plan(self, bag: Bag) -> "_Plan":
         """Find out about the topics and the first frame, and make the pipeline."""
         image, references, outputs = self._topics(bag)
-        data, view, camera = first_frame(bag, image, self.camera)
+        info = first_info(bag, image)
+        data, view, camera = first_frame(bag, image, self.camera, info)
         recipe = FrameRecipe(
             self.new_pipeline,
             self.prior,
@@ -170,7 +171,7 @@ class BagConversion:
         if references:
             pipeline = processor.pipeline
             references.range_m = depth_range_m(pipeline.model, pipeline.camera)
-        return _Plan(image, references, outputs, recipe, processor, data)
+        return _Plan(image, references, outputs, recipe, processor, data, info)
 
     def _topics(self, bag: Bag) -> tuple[Topic, References | None, Outputs]:
         reference = None
@@ -259,13 +260,14 @@ class _Plan:
     recipe: FrameRecipe
     processor: FrameProcessor
     first: bytes  # message of a frame that can be used
+    first_info: Any  # the bag is read for it once
 
     def batches(self, bag: Bag, refuse: Callable[[str], None]) -> Iterator[Batch]:
         """Messages of the bag, up to and with a frame at a time; see `batches`."""
         info_topic = camera_info_topic(bag.topics, self.image)
         bank = filter_bank(self.processor.pipeline.estimator.model)
         by_place = bank is not None and bank.field is not None
-        views = FrameViews(self.recipe.camera, self.recipe.view, by_place)
+        views = FrameViews(self.recipe.camera, self.recipe.view, by_place, self.first_info)
         return batches(bag, self.image.name, info_topic, views, refuse)
 
 
@@ -336,18 +338,14 @@ def paired_references(bag: Bag, image: Topic, topic: str) -> References:
     return References(topic, pairs)
 
 
-def first_frame(bag: Bag, topic: Topic, camera: Camera) -> tuple[bytes, View, Camera]:
+def first_frame(bag: Bag, topic: Topic, camera: Camera, first: Any) -> tuple[bytes, View, Camera]:
     """First message of a topic that can be used, its view, and the camera of the whole view.
 
-    The camera has the scale of the frames. An `InputError` if there is no such message.
+    The camera has the scale of the frames; `first` is what `first_info` found. An `InputError` if
+    there is no such message.
     """
-    info_topic = camera_info_topic(bag.topics, topic)
-    first = first_info(bag, info_topic)
     reason = ""
-    names = (topic.name,) if info_topic is None else (topic.name, info_topic)
-    for message, info in with_infos(bag.messages(*names), topic.name, info_topic, first):
-        if message.topic != topic.name:
-            continue
+    for message, info in frames_with_infos(bag, topic, first):
         try:
             height, width = read_picture(message.data, topic.type_name).pixels.shape[:2]
             view = (info and view_from_camera_info(info, width, height, camera)) or View.whole(

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bags import codec
-from coded_aperture_ros.bags.camera_infos import first_info, with_infos
+from coded_aperture_ros.bags.camera_infos import with_infos
 from coded_aperture_ros.bags.contents import BagMessage, Topic
 from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
@@ -58,11 +58,14 @@ class FrameViews:
         What the frames show of it.
     by_place : bool
         Whether depth depends on where in the view a frame is, not only on its scale.
+    first_info : message or None
+        Model until one has come; see `first_info`.
     """
 
     camera: Camera
     view: View
     by_place: bool = False
+    first_info: Any = None
 
     @property
     def own_info(self) -> Any:
@@ -107,8 +110,8 @@ def batches(
     copies: list[BagMessage] = []
     waiting = 0
     frames = 0
-    first = first_info(bag, info_topic)
-    for message, found in with_infos(bag.messages(), image_topic, info_topic, first, refuse):
+    messages = with_infos(bag.messages(), image_topic, info_topic, views.first_info, refuse)
+    for message, found in messages:
         copies.append(message)
         waiting += len(message.data)
         is_frame = message.topic == image_topic

@@ -188,8 +188,7 @@ class Outputs:
     @property
     def is_file(self) -> bool:
         """Whether the output is a file, not a folder."""
-        path = Path(self.output)
-        return bool(path.suffix) and not self.output.endswith("/") and not path.is_dir()
+        return _names_file(self.output)
 
     def path(self, name: str) -> Path:
         """Path of the result of a frame with a name."""
@@ -209,6 +208,11 @@ class Outputs:
                 f"{self.output}: {'several' if total is None else total} frames do not fit into "
                 "one file, name a folder"
             )
+
+
+def _names_file(path: str | os.PathLike[str]) -> bool:
+    """Whether an output is a file, not a folder: it has a suffix."""
+    return bool(Path(path).suffix) and not str(path).endswith("/") and not Path(path).is_dir()
 
 
 def replace_folder(new: Path, path: Path) -> None:
@@ -247,13 +251,10 @@ def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:
 
 
 def check_folder(path: str | os.PathLike[str]) -> None:
-    """Raise an `InputError` if the folder of an output file does not exist; folders are made.
-
-    As `Outputs` tells one from the other: a file has a suffix.
-    """
-    target = Path(path)
-    if str(path).endswith("/") or not target.suffix or target.is_dir():
+    """Raise an `InputError` if the folder of an output file does not exist; folders are made."""
+    if not _names_file(path):
         return
+    target = Path(path)
     existing = next((each for each in target.parents if each.exists()), target.parent)
     # That a file has the name of a folder is told by `check_output`.
     if existing.is_dir() and existing != target.parent:

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.bags import Bag, BagMessage
-from coded_aperture_ros.bags.camera_infos import first_info, with_infos
+from coded_aperture_ros.bags.camera_infos import first_info, frames_with_infos
 from coded_aperture_ros.bags.codec import read_picture
-from coded_aperture_ros.bags.topics import camera_info_topic, image_topic
+from coded_aperture_ros.bags.topics import image_topic
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.sources.files import FileSource
 from coded_aperture_ros.sources.source import Capture
@@ -59,12 +59,7 @@ class BagSource(FileSource[tuple[int, BagMessage, Any]]):
 
     def _stored(self) -> Generator[tuple[int, BagMessage, Any], None, None]:
         self._bag = bag = self._bag or Bag(self._path)
-        topic = self._topic.name
-        info_topic = camera_info_topic(bag.topics, self._topic)
-        first = first_info(bag, info_topic)
-        topics = (topic,) if info_topic is None else (topic, info_topic)
-        messages = with_infos(bag.messages(*topics), topic, info_topic, first, self._refuse)
-        frames = ((message, info) for message, info in messages if message.topic == topic)
+        frames = frames_with_infos(bag, self._topic, first_info(bag, self._topic), self._refuse)
         for index, (message, info) in enumerate(frames):
             yield index, message, info
         self.damage = bag.damage

@@ -6,7 +6,6 @@ A thousand cases in all; with FUZZ_TIMES=1, as `make fuzz` sets it, more than te
 import array
 import io
 import math
-import os
 import resource
 import zipfile
 
@@ -14,7 +13,8 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
+from fuzzing import cases
+from hypothesis import given
 from hypothesis import strategies as st
 from rclpy.parameter import Parameter
 from ros_helpers import Ros
@@ -40,20 +40,8 @@ from coded_aperture_ros.ros.messages import image_from_array, image_from_compres
 from coded_aperture_ros.ros.pairing import StampPairs
 from coded_aperture_ros.ros.rgbd_source import depth_in_metres
 
-TIMES = float(os.environ.get("FUZZ_TIMES", "0.1"))
 # The cases of a test may take no more memory than the tests before, and this.
 LARGEST_GROWTH_KB = 400_000
-
-
-def cases(count):
-    """Return the settings of a test of so many cases, or a part of them, or more."""
-    return settings(
-        max_examples=math.ceil(count * TIMES),
-        deadline=None,
-        # The tests try the same cases every time, `make fuzz` others each time.
-        derandomize=TIMES < 1,
-        suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-    )
 
 
 @pytest.fixture(autouse=True)

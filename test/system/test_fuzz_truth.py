@@ -5,14 +5,14 @@ Eight hundred cases in all; with FUZZ_TIMES=1, as `make fuzz` sets it, more than
 
 import dataclasses
 import math
-import os
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 from bag_scene import IMAGE, STORE, camera_info, image
-from hypothesis import HealthCheck, given, settings
+from fuzzing import cases
+from hypothesis import given
 from hypothesis import strategies as st
 from mcap.writer import Writer
 from small_camera import CAMERA
@@ -24,18 +24,6 @@ from coded_aperture_ros.io import read_image
 from coded_aperture_ros.io.messages import check_camera_info, contradiction, view_from_camera_info
 from coded_aperture_ros.optics import camera_from_mapping
 from coded_aperture_ros.optics.distortion import pixel_rays
-
-TIMES = float(os.environ.get("FUZZ_TIMES", "0.1"))
-
-
-def cases(count):
-    """Return the settings of a test of so many cases, or a part of them, or more."""
-    return settings(
-        max_examples=math.ceil(count * TIMES),
-        deadline=None,
-        derandomize=TIMES < 1,
-        suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-    )
 
 
 @pytest.fixture(scope="module")
