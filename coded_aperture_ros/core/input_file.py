@@ -6,8 +6,28 @@ from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
 
+# Of a picture; 67 million: more than cameras of robots have. In floats that is 256 MiB.
+LARGEST_PIXELS = 2**26
 # A picture of the most pixels in 32 bits.
-LARGEST_FILE_BYTES = 2**28 + 2**16
+LARGEST_FILE_BYTES = 4 * LARGEST_PIXELS + 2**16
+
+
+def check_picture_size(rows: int, columns: int) -> None:
+    """Raise `InputError` if a picture has more than `LARGEST_PIXELS`.
+
+    Compressed files of few bytes may declare any size.
+
+    Examples
+    --------
+    >>> check_picture_size(60_000, 60_000)
+    Traceback (most recent call last):
+    ...
+    coded_aperture_ros.core.errors.InputError: 60000x60000 pixels, expected at most 67 million
+    """
+    if rows * columns > LARGEST_PIXELS:
+        raise InputError(
+            f"{columns}x{rows} pixels, expected at most {LARGEST_PIXELS // 10**6} million"
+        )
 
 
 def check_regular(

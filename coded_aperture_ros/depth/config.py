@@ -1,39 +1,72 @@
-"""Settings of the depth estimate: those of its stages, together."""
+"""Settings of the depth estimate: those of its stages, together.
+
+The settings of a stage are the class `Config` of its file, wherever the stage is listed or if it is
+not: `DepthConfig` has them all.
+"""
 
 import dataclasses
+import inspect
 from typing import Any
 
 from coded_aperture_ros.core.options import check_options
 from coded_aperture_ros.core.workers import thread_count
-from coded_aperture_ros.depth.stages import extension_modules
-from coded_aperture_ros.depth.stages.decode import DecodeConfig
-from coded_aperture_ros.depth.stages.free_space import FreeSpaceConfig
-from coded_aperture_ros.depth.stages.likelihood import LikelihoodConfig
-from coded_aperture_ros.depth.stages.observe import ObserveConfig
-from coded_aperture_ros.depth.stages.quality_of_fit import QualityOfFitConfig
-from coded_aperture_ros.depth.stages.second_surface import SecondSurfaceConfig
-from coded_aperture_ros.depth.stages.temporal import TemporalConfig
-from coded_aperture_ros.depth.stages.unknown import UnknownConfig
+from coded_aperture_ros.depth.stages import (
+    decode,
+    free_space,
+    likelihood,
+    observe,
+    quality_of_fit,
+    second_surface,
+    stage_modules,
+    temporal,
+    unknown,
+)
 from coded_aperture_ros.likelihood import check_backend
 
 
-def _extensions() -> tuple[Any, ...]:
-    """Configurations of stages that are not listed: a class `Config` in their file."""
-    found = (getattr(module, "Config", None) for module in extension_modules())
-    return tuple(config for config in found if config is not None)
+@dataclasses.dataclass(frozen=True)
+class _TypedOptions(
+    quality_of_fit.Config,
+    temporal.Config,
+    second_surface.Config,
+    free_space.Config,
+    unknown.Config,
+    observe.Config,
+    decode.Config,
+    likelihood.Config,
+):
+    """Options that type checkers and editors know; the last ones come first in `--help`."""
+
+
+def _further_configs() -> tuple[Any, ...]:
+    """`Config` of every stage that is not among the typed ones, the last stage first.
+
+    Raises
+    ------
+    TypeError
+        If the options of a `Config` would get lost: it is no dataclass, or another stage has an
+        option of that name.
+    """
+    owners = dict.fromkeys(inspect.signature(_TypedOptions).parameters, "another stage")
+    found: list[type] = []
+    for module in stage_modules():
+        config: Any = getattr(module, "Config", None)
+        if config is None or config in (*_TypedOptions.__mro__, *found):
+            continue
+        for name in inspect.get_annotations(config):
+            if name not in inspect.signature(config).parameters:
+                raise TypeError(f"{config.__module__}: make Config a frozen dataclass")
+            if name in owners:
+                raise TypeError(f"{config.__module__}: option {name} is one of {owners[name]}, too")
+            owners[name] = config.__module__
+        found.append(config)
+    return tuple(reversed(found))
 
 
 @dataclasses.dataclass(frozen=True)
 class DepthConfig(
-    *_extensions(),  # type: ignore[misc]  # mypy cannot see what is not listed
-    QualityOfFitConfig,
-    TemporalConfig,
-    SecondSurfaceConfig,
-    FreeSpaceConfig,
-    UnknownConfig,
-    ObserveConfig,
-    DecodeConfig,
-    LikelihoodConfig,
+    *_further_configs(),  # type: ignore[misc]  # known at run time only
+    _TypedOptions,
 ):
     """How a frame is turned into depth.
 
@@ -52,6 +85,8 @@ class DepthConfig(
 
     def __post_init__(self) -> None:
         check_options(self)
-        super().__post_init__()
+        for config in DepthConfig.__mro__[1:]:
+            if "__post_init__" in vars(config):  # each stage's own
+                vars(config)["__post_init__"](self)
         thread_count(self.threads)
         check_backend(self.backend)

@@ -11,10 +11,6 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.layer import Layer
 from coded_aperture_ros.depth.quality import Health
 
-MAP_SIZES = ("auto", "full", "half", "quarter")
-# Best-effort messages larger than such float images are lost with default DDS settings.
-_LARGEST_AUTO = (240, 320)
-_DIVISORS = {"full": 1, "half": 2, "quarter": 4}
 # Maps that are NaN where the depth is unknown.
 _LEVEL_MAPS = ("level", "blur_size_px", "depth_m", "std_dev_m")
 
@@ -82,7 +78,7 @@ class DepthEstimate:
 
     def where_confident(self, threshold: float) -> "DepthEstimate":
         """Estimate with NaN wherever the confidence is below the threshold."""
-        return self.without(below_threshold(self.confidence, threshold))
+        return self.without(is_unknown(self.confidence, threshold))
 
     def without(self, unknown: BoolArray) -> "DepthEstimate":
         """Estimate with NaN where the depth is `unknown` [rows, columns]."""
@@ -118,8 +114,11 @@ class DepthEstimate:
         return dataclasses.replace(self, **changed)  # type: ignore[arg-type]
 
 
-def below_threshold(confidence: FloatArray, threshold: float) -> BoolArray:
-    """Where the depth counts as unknown: below the threshold, and where the confidence is 0."""
+def is_unknown(confidence: FloatArray, threshold: float) -> BoolArray:
+    """Where depth is unknown, bool [rows, columns]: less confidence than the threshold, or none.
+
+    With a threshold of 0, that is where the confidence is 0 or NaN.
+    """
     return ~(confidence >= threshold if threshold > 0 else confidence > 0)
 
 
@@ -127,30 +126,3 @@ def check_map_size(size: Shape | None) -> None:
     """Raise `InputError` if a size (rows, columns) is not that of a map."""
     if size is not None and min(size) < 1:
         raise InputError(f"size of the depth map: expected at least 1x1, got {size}")
-
-
-def map_size(frame_size: Shape, choice: str) -> Shape:
-    """Rows and columns of the depth map for a size of frames.
-
-    Parameters
-    ----------
-    frame_size : (int, int)
-        Rows and columns of the frames.
-    choice : str
-        One of `MAP_SIZES`; auto: the largest whole fraction of the frame that fits in 320x240.
-
-    Returns
-    -------
-    (int, int)
-
-    Examples
-    --------
-    >>> map_size((480, 640), "auto")
-    (240, 320)
-    >>> map_size((480, 640), "quarter")
-    (120, 160)
-    """
-    rows, columns = frame_size
-    fitting = max(-(-rows // _LARGEST_AUTO[0]), -(-columns // _LARGEST_AUTO[1]), 1)
-    divisor = _DIVISORS.get(choice, fitting)
-    return max(1, rows // divisor), max(1, columns // divisor)

@@ -10,10 +10,11 @@ from coded_aperture_ros.core.workers import Workers, thread_count
 from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decoders.network import (
     CELL_PX,
-    small_patches_bank,
-    unsupported_reason,
+    DecoderChoice,
+    choose_decoder,
+    small_bank,
 )
-from coded_aperture_ros.depth.decoders.regularize import LEARNED, Regularizer, regularizer
+from coded_aperture_ros.depth.decoders.regularize import Regularizer, regularizer
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
@@ -21,6 +22,7 @@ from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
 from coded_aperture_ros.frames import Frame, KnownNoise
 from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel
+from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Camera
 
 # Least `Mask.asymmetry` of a mask that distinguishes the sides of the focal plane.
@@ -190,7 +192,8 @@ class DepthEstimator:
             unless_made.callback(likelihood.close)
             workers = Workers(threads)
             unless_made.callback(workers.close)
-            small = self._plan_small_patches(shape, stride_px, threads)
+            decoder = self._choose_decoder(stride_px)
+            small = self._plan_small_patches(shape, threads) if decoder.learned else None
             if small is not None:
                 unless_made.callback(small.close)
             plan = Plan(
@@ -200,6 +203,7 @@ class DepthEstimator:
                 likelihood=likelihood,
                 known_noise=self.known_noise,
                 workers=workers,
+                decoder=decoder,
                 sides=self._focal_sides(shape),
                 small=small,
                 regularize=self._regularize,
@@ -217,14 +221,16 @@ class DepthEstimator:
         regularize = self._regularize or regularizer(config.classical, config.smoothness)
         return FocalSides(stack, self._levels, shape, regularize, self._patches_tell_sides)
 
-    def _plan_small_patches(self, shape: Shape, stride_px: int, threads: int) -> Likelihood | None:
-        """Likelihood of small patches, if the network decides; else None."""
-        if self._regularize is not None or self.config.regularize != LEARNED:
-            return None
-        small = small_patches_bank(self.source_model, stride_px)
-        if small is None:
-            return None
-        small = small.for_view(self.camera)
+    def _choose_decoder(self, stride_px: int) -> DecoderChoice:
+        """Network or classical; a regulariser that was handed over is one."""
+        if self._regularize is not None:
+            return DecoderChoice(learned=False)
+        return choose_decoder(self.source_model, self.config.regularize, stride_px)
+
+    def _plan_small_patches(self, shape: Shape, threads: int) -> Likelihood:
+        """Likelihood of the small patches that the network needs."""
+        assert isinstance(self.source_model, FilterBank)  # it was trained for no other
+        small = small_bank(self.source_model).for_view(self.camera)
         return small.plan(shape, CELL_PX, self.config.backend, threads, periodic=False)
 
 
@@ -250,18 +256,16 @@ def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:
     >>> refinement_note(bank, DepthConfig()) is None
     True
     """
-    if config.regularize != LEARNED:
-        return None
-    why = unsupported_reason(model, config.stride_px or model.stride_px)
-    if not why:
-        if config.second_surface and model.stack.has_both_sides:
-            return "second_surface: not found with levels on both sides of the focal plane"
-        return None
-    return (
-        "regularize: semiglobal in place of learned, which was not trained for this model: "
-        f"{why}{'; no free-space bound' if config.free_space_risk else ''}"
-        f"{'; no second surface' if config.second_surface else ''}"
-    )
+    decoder = choose_decoder(model, config.regularize, config.stride_px or model.stride_px)
+    if decoder.reason:
+        return (
+            "regularize: semiglobal in place of learned, which was not trained for this model: "
+            f"{decoder.reason}{'; no free-space bound' if config.free_space_risk else ''}"
+            f"{'; no second surface' if config.second_surface else ''}"
+        )
+    if decoder.learned and config.second_surface and model.stack.has_both_sides:
+        return "second_surface: not found with levels on both sides of the focal plane"
+    return None
 
 
 def side_warning(model: LikelihoodModel) -> str | None:

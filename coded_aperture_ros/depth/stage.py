@@ -10,6 +10,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, Shape
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.decoded import Decoded
+from coded_aperture_ros.depth.decoders.network import DecoderChoice
 from coded_aperture_ros.depth.decoders.regularize import Regularizer
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate
@@ -50,10 +51,12 @@ class Plan:
         Of one channel, as far as it is known before a frame is seen.
     workers : Workers
         Threads that share the work.
+    decoder : DecoderChoice
+        What decides the levels; the stages and `refinement_note` go by it.
     sides : FocalSides or None
         Where there are levels on both sides of the focal plane.
     small : Likelihood or None
-        Of the small patches, if the network decides.
+        Of the small patches, if the network decides the levels.
     regularize : Regularizer or None
         In place of the one that the configuration names.
     second_focus : SecondFocus or None
@@ -66,6 +69,7 @@ class Plan:
     likelihood: Likelihood
     known_noise: KnownNoise
     workers: Workers
+    decoder: DecoderChoice
     sides: FocalSides | None = None
     small: Likelihood | None = None
     regularize: Regularizer | None = None
@@ -196,8 +200,13 @@ class Stage:
 
 
 class StageModule(Protocol):
-    """Interface of a stage's file."""
+    """Interface of a stage's file.
 
+    If the stage has options, the file has them as a frozen dataclass `Config`, of which
+    `DepthConfig` is made.
+    """
+
+    __name__: str
     LAYERS: tuple[LayerSpec, ...]  # layers that the stage may add
     # Option, or attribute of the plan, that enables the stage; empty: always enabled.
     WHEN: str

@@ -1,5 +1,6 @@
 """Frames: linear light, grey, patches, noise, averages over time."""
 
+from coded_aperture_ros.frames.channel_noise import channel_noise
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.frame import Frame, PixelFormat
 from coded_aperture_ros.frames.grey import (
@@ -25,13 +26,7 @@ from coded_aperture_ros.frames.mosaic import (
     grey_from_mosaic,
     mosaic_from_colour,
 )
-from coded_aperture_ros.frames.noise import (
-    GreyNoise,
-    KnownNoise,
-    channel_noise,
-    estimate_noise,
-    grey_noise,
-)
+from coded_aperture_ros.frames.noise import GreyNoise, KnownNoise, estimate_noise, grey_noise
 from coded_aperture_ros.frames.patches import PatchGrid, usable_windows, window_brightness
 from coded_aperture_ros.frames.periodic import (
     extend_periodically,

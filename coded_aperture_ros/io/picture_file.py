@@ -11,10 +11,10 @@ from coded_aperture_ros.core.array_file import read_array
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.core.input_file import read_bytes
+from coded_aperture_ros.core.input_file import check_picture_size, read_bytes
 from coded_aperture_ros.frames.frame import PixelFormat
 from coded_aperture_ros.frames.light import Gamma, check_linear, pixels_from_linear
-from coded_aperture_ros.frames.pictures import StoredPicture, check_size, decode_picture
+from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
 PICTURE_SUFFIXES = (
@@ -263,7 +263,7 @@ def _array_of(path: Path, data: bytes) -> NDArray:
         raise InputError(f"cannot read {path}: expected one numeric array")
     if array.ndim > 1:
         with naming(f"cannot read {path}"):
-            check_size(*array.shape[:2])
+            check_picture_size(*array.shape[:2])
     return array.astype(array.dtype.newbyteorder("="))
 
 

@@ -2,6 +2,9 @@
 
 import importlib
 import json
+import os
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +15,7 @@ from bag_scene import IMAGE, START_NS, decoded, floats, image, read, write_bag
 from cli_scene import call
 from ros_helpers import Ros
 from small_camera import CAMERA, FAR_M, NEAR_M, coded_wall
-from waiting import wait_until
+from waiting import scaled, wait_until
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, stages
 from coded_aperture_ros.io import write_image
@@ -44,6 +47,76 @@ class Toy(Stage):
 '''
 
 
+TOY_WITH_OPTIONS = '''
+"""A share of what is not known."""
+
+import dataclasses
+import sys
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.options import option
+from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.stage import Stage
+
+TOY = LayerSpec("toy", "Share of the doubt.", unit="", kind="probability")
+LAYERS = (TOY,)
+WHEN = "toy_share"
+
+
+@dataclasses.dataclass(frozen=True)
+class Config:
+    toy_share: float = option(0.0, "Share of the doubt.", within=(0.0, 1.0), parameter="toy.share")
+
+    def __post_init__(self):
+        if self.toy_share == 0.3:
+            raise InputError("toy_share: 0.3 is no share for a toy")
+
+
+def make(plan, config):
+    return Toy(config.toy_share)
+
+
+class Toy(Stage):
+    name = "toy"
+
+    def __init__(self, share):
+        self.share = share
+
+    def __call__(self, work):
+        print("unknown is decided:", hasattr(work, "unknown"), file=sys.stderr)
+        work.add_layer(TOY, self.share * (1 - work.confidence))
+'''
+IMPORTED = "    unknown,\n)\n"
+LISTED_BEFORE = "    unknown,\n    free_space,\n"
+
+
+def own_package(folder: Path, stage: str, *, listed: bool) -> None:
+    """Copy of the package in `folder`, with a file for one more stage, listed before `unknown`."""
+    package = folder / "coded_aperture_ros"
+    source = Path(stages.__file__).parents[2]
+    shutil.copytree(source, package, ignore=shutil.ignore_patterns("__pycache__"))
+    (package / "depth" / "stages" / "toy.py").write_text(stage)
+    if listed:
+        file = package / "depth" / "stages" / "__init__.py"
+        text = file.read_text()
+        assert text.count(IMPORTED) == text.count(LISTED_BEFORE) == 1
+        text = text.replace(IMPORTED, f"    toy,\n{IMPORTED}")
+        file.write_text(text.replace(LISTED_BEFORE, f"    toy,\n{LISTED_BEFORE}"))
+
+
+def depth_of_own_package(folder: Path, *options: str) -> subprocess.CompletedProcess:
+    """`coded_aperture depth` of the package in `folder`, on the files of a wall."""
+    command = [sys.executable, "-m", "coded_aperture_ros", "depth", "--bank", "bank.npz"]
+    return subprocess.run(
+        [*command, "coded.npy", "-o", "x.npy", *options],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": str(folder)},
+        capture_output=True,
+        text=True,
+        timeout=scaled(60),
+    )
+
+
 @pytest.fixture
 def toy_stage(tmp_path, monkeypatch):
     """The only thing that is added: one file in the folder of the stages."""
@@ -68,6 +141,42 @@ def files(tmp_path):
     save_bank(bank, tmp_path / "bank.npz")
     write_image(tmp_path / "coded.npy", coded_wall(camera))
     return tmp_path
+
+
+@pytest.mark.parametrize("listed", [True, False], ids=["listed", "by its file"])
+def test_options_of_a_stage_are_its_config(files, listed):
+    own_package(files, TOY_WITH_OPTIONS, listed=listed)
+    done = depth_of_own_package(files, "--toy-share", "0.5")
+    assert done.returncode == 0, done.stderr
+    confidence = np.load(files / "x.confidence.npy")
+    assert np.allclose(np.load(files / "x.toy.npy"), 0.5 * (1 - confidence))
+    assert f"unknown is decided: {not listed}" in done.stderr
+
+
+@pytest.mark.parametrize("listed", [True, False], ids=["listed", "by its file"])
+def test_a_config_checks_itself(files, listed):
+    own_package(files, TOY_WITH_OPTIONS, listed=listed)
+    for value, message in (("0.3", "0.3 is no share for a toy"), ("2", "0 to 1")):
+        done = depth_of_own_package(files, "--toy-share", value)
+        assert done.returncode == 2 and message in done.stderr, (done.returncode, done.stderr)
+
+
+FAULTS = {
+    "misnamed": ('WHEN = "toy_share"', 'WHEN = "toy_shar"', "toy: WHEN = 'toy_shar' is no option"),
+    "not a dataclass": ("@dataclasses.dataclass(frozen=True)", "", "toy: make Config a frozen"),
+    "twice": ("toy_share: float", "unknown: str = ''\n    toy_share: float", "toy: option unknown"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("listed", [True, False], ids=["listed", "by its file"])
+def test_a_stage_whose_options_would_be_lost_is_refused(files, listed, fault):
+    """Or one that would never run."""
+    written, wrong, message = FAULTS[fault]
+    assert written in TOY_WITH_OPTIONS
+    own_package(files, TOY_WITH_OPTIONS.replace(written, wrong), listed=listed)
+    done = depth_of_own_package(files)
+    assert done.returncode != 0 and f"depth.stages.{message}" in done.stderr, done.stderr
 
 
 def test_layer_is_of_the_estimate(toy_stage, files):

@@ -113,14 +113,14 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
     arrays = read_shipped(
         refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
     )
-    former = Calibration.from_weights({})  # files that state none
-    assert former.coefficients.dtype == np.float32 and former.deviation.dtype == np.float32
-    for name, values in former.to_arrays().items():
+    shipped = Calibration.from_weights(arrays)
+    assert shipped.coefficients.dtype == np.float32 and shipped.deviation.dtype == np.float32
+    for name, values in shipped.to_arrays().items():
         np.testing.assert_array_equal(arrays[name], values)
 
     scene, frame = seen
     found = []
-    other = {"calibration": former.coefficients - np.float32([1, 0, 0, 0]), "deviation": 1.56}
+    other = {"calibration": shipped.coefficients - np.float32([1, 0, 0, 0]), "deviation": 1.56}
     for changed in ({}, other):
         monkeypatch.setattr(refinement, "read_shipped", lambda *_, new=changed: arrays | new)
         config = DepthConfig(noise=NOISE, confidence_threshold=0, check_fit=False)
@@ -130,6 +130,16 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
     sure, less_sure = found
     assert less_sure.confidence.mean() < sure.confidence.mean() - 0.05
     assert np.nanmedian(less_sure.std_dev_m / sure.std_dev_m) == pytest.approx(2, rel=1e-3)
+
+
+def test_weights_without_a_calibration_have_the_probabilities_of_the_network():
+    """As they have before `training/train.py refinement calibrate`."""
+    calibration = Calibration.from_weights({})
+    assert calibration.coefficients.dtype == np.float32 and calibration.deviation == 1
+    probability = np.float32([0.01, 0.3, 0.9])
+    size_px, tolerance_px = np.float32([4, 9, 20]), np.float32([0.2, 1, 3])
+    confidence = calibration.confidence(probability, size_px, tolerance_px)
+    np.testing.assert_allclose(confidence, probability, rtol=1e-5)
 
 
 def test_the_confidence_is_logistic_in_the_odds():

@@ -1,7 +1,7 @@
 """The stages that a frame goes through, in order: one file for each.
 
-A stage's file has its configuration, its layers and `make`. What is in this folder and not in the
-lists below runs last: so a new stage is one new file.
+A stage's file has its options as a class `Config`, its layers and `make`; see `StageModule`. What
+is in this folder and not in the lists below runs last: so a new stage is one new file.
 """
 
 import pkgutil
@@ -55,7 +55,7 @@ BACK: tuple[StageModule, ...] = (
 @cache
 def extension_modules() -> tuple[StageModule, ...]:
     """Stages in this folder that are not in the lists above, in alphabetical order."""
-    known = {module.__name__ for module in (*FRONT, *BACK)}  # type: ignore[attr-defined]
+    known = {module.__name__ for module in (*FRONT, *BACK)}
     names = sorted(f"{__name__}.{found.name}" for found in pkgutil.iter_modules(__path__))
     return tuple(cast(StageModule, import_module(name)) for name in names if name not in known)
 
@@ -88,9 +88,14 @@ def make_back(plan: Plan, config: object) -> tuple[Stage, ...]:
 
 def _made(modules: tuple[StageModule, ...], plan: Plan, config: object) -> tuple[Stage, ...]:
     return tuple(
-        module.make(plan, config) for module in modules if _is_wanted(module.WHEN, plan, config)
+        module.make(plan, config) for module in modules if _is_wanted(module, plan, config)
     )
 
 
-def _is_wanted(when: str, plan: Plan, config: object) -> bool:
-    return not when or bool(getattr(config, when, None) or getattr(plan, when, None))
+def _is_wanted(module: StageModule, plan: Plan, config: object) -> bool:
+    when, holders = module.WHEN, (config, plan)
+    if when and not any(hasattr(holder, when) for holder in holders):
+        raise AttributeError(
+            f"{module.__name__}: WHEN = {when!r} is no option of DepthConfig or attribute of Plan"
+        )
+    return not when or any(getattr(holder, when, None) for holder in holders)

@@ -25,7 +25,7 @@ WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class DecodeConfig:
+class Config:
     """How the levels of neighbours are decided together."""
 
     regularize: str = option(
@@ -66,9 +66,10 @@ class DecodeConfig:
         return "semiglobal" if self.regularize == LEARNED else self.regularize
 
 
-def make(plan: Plan, config: DecodeConfig) -> Stage:
-    """Stage of the network where the plan has small patches, else of the regulariser."""
-    if plan.small is not None:
+def make(plan: Plan, config: Config) -> Stage:
+    """Stage of the decoder that was chosen: the network, or a regulariser."""
+    if plan.decoder.learned:
+        assert plan.small is not None
         network = NetworkDecoder(
             plan.levels, plan.small.grid, plan.sides, plan.workers, config.network
         )

@@ -28,7 +28,7 @@ _POWER = 0.7
 
 
 @dataclasses.dataclass(frozen=True)
-class FreeSpaceConfig:
+class Config:
     """Risk of the bound."""
 
     free_space_risk: float = option(
@@ -41,7 +41,7 @@ class FreeSpaceConfig:
     )
 
 
-def make(plan: Plan, config: FreeSpaceConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of a bound at the risk that is asked for."""
     return FreeSpace(plan.levels, config.free_space_risk)
 

@@ -12,7 +12,7 @@ WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class LikelihoodConfig:
+class Config:
     """What computes the costs, and where."""
 
     stride_px: int = option(
@@ -38,7 +38,7 @@ class LikelihoodConfig:
     )
 
 
-def make(plan: Plan, config: LikelihoodConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of the plan's likelihood."""
     return CostOfLevels(plan.likelihood)
 

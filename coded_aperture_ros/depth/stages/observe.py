@@ -13,7 +13,7 @@ WHEN = ""
 
 
 @dataclasses.dataclass(frozen=True)
-class ObserveConfig:
+class Config:
     """Noise and saturation of the frames."""
 
     noise: float = option(
@@ -44,7 +44,7 @@ class ObserveConfig:
     )
 
 
-def make(plan: Plan, config: ObserveConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage for frames of the plan's size."""
     return Observe(plan, config.saturation, config.least_noise)
 

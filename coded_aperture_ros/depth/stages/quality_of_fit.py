@@ -6,7 +6,7 @@ from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.quality import FitCheck, can_be_checked
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
-from coded_aperture_ros.depth.stages.temporal import TemporalConfig
+from coded_aperture_ros.depth.stages import temporal
 from coded_aperture_ros.likelihood.bank import FilterBank
 
 LAYERS: tuple[LayerSpec, ...] = ()
@@ -14,7 +14,7 @@ WHEN = "check_fit"
 
 
 @dataclasses.dataclass(frozen=True)
-class QualityOfFitConfig(TemporalConfig):
+class Config(temporal.Config):
     """Whether frames are checked against their bank."""
 
     check_fit: bool = option(
@@ -24,12 +24,12 @@ class QualityOfFitConfig(TemporalConfig):
     )
 
 
-def make(plan: Plan, config: QualityOfFitConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of the check."""
     return QualityOfFit(_fit_check(plan, config))
 
 
-def _fit_check(plan: Plan, config: QualityOfFitConfig) -> FitCheck | None:
+def _fit_check(plan: Plan, config: Config) -> FitCheck | None:
     """Check of the plan's bank; None for models that cannot be checked."""
     model = plan.model
     if not (isinstance(model, FilterBank) and can_be_checked(model.stack)):

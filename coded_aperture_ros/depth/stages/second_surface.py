@@ -32,7 +32,7 @@ WHEN = "second_surface"
 
 
 @dataclasses.dataclass(frozen=True)
-class SecondSurfaceConfig:
+class Config:
     """Whether a second surface is looked for."""
 
     second_surface: bool = option(
@@ -44,10 +44,10 @@ class SecondSurfaceConfig:
     )
 
 
-def make(plan: Plan, config: SecondSurfaceConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of a second surface."""
     # What is more blurred may lie before or behind: with levels on both sides none is found.
-    if plan.small is None or plan.sides is not None:
+    if not plan.decoder.learned or plan.sides is not None:
         return FindSecondSurface(plan.levels, None)
     return FindSecondSurface(plan.levels, SecondSurface(tried_sizes(plan.levels.blur_sizes_px)))
 

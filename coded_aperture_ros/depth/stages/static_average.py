@@ -3,7 +3,7 @@
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
-from coded_aperture_ros.depth.stages.temporal import TemporalConfig
+from coded_aperture_ros.depth.stages import temporal
 from coded_aperture_ros.frames import StaticAverage, join_averages
 
 LAYERS: tuple[LayerSpec, ...] = ()
@@ -12,7 +12,7 @@ WHEN = "temporal_frames"
 _LENGTH = 2
 
 
-def make(plan: Plan, config: TemporalConfig) -> Stage:
+def make(plan: Plan, config: temporal.Config) -> Stage:
     """Stage of a video's frames."""
     return StaticAveraging(_LENGTH * config.temporal_frames)
 

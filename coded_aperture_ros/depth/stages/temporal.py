@@ -38,7 +38,7 @@ _SHIFT_TO_PATCHES = np.array(
 
 
 @dataclasses.dataclass(frozen=True)
-class TemporalConfig:
+class Config:
     """Weight of past frames."""
 
     temporal_frames: float = option(
@@ -51,7 +51,7 @@ class TemporalConfig:
     )
 
 
-def make(plan: Plan, config: TemporalConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of a video's frames."""
     return Temporal(config.temporal_frames)
 

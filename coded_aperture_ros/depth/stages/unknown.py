@@ -1,9 +1,9 @@
 """Where depth is unknown, and what stands there.
 
-Unknown is what has too little confidence. The decoder gives a confidence, 0 where all patches
-around a pixel are dark, saturated or without texture; `quality_of_fit` lowers it where the frame is
-not what the model expects, and `periodic_texture` where a pattern repeats. Beyond the range of the
-levels depth is infinite, not unknown: see `Levels.metric_maps`.
+Unknown is what has too little confidence: see `is_unknown`. The decoder gives a confidence, 0 where
+all patches around a pixel are dark, saturated or without texture; `quality_of_fit` lowers it where
+the frame is not what the model expects, and `periodic_texture` where a pattern repeats. Beyond the
+range of the levels depth is infinite, not unknown: see `Levels.metric_maps`.
 """
 
 import dataclasses
@@ -11,7 +11,7 @@ import dataclasses
 import numpy as np
 
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.depth.estimate import below_threshold
+from coded_aperture_ros.depth.estimate import is_unknown
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
@@ -24,7 +24,7 @@ _PLAUSIBLE = 0.05
 
 
 @dataclasses.dataclass(frozen=True)
-class UnknownConfig:
+class Config:
     """Which depth is unknown."""
 
     confidence_threshold: float = option(
@@ -44,7 +44,7 @@ class UnknownConfig:
     )
 
 
-def make(plan: Plan, config: UnknownConfig) -> Stage:
+def make(plan: Plan, config: Config) -> Stage:
     """Stage of a threshold."""
     return Unknown(plan.levels, config.confidence_threshold, config.unknown == "nearest")
 
@@ -60,7 +60,7 @@ class Unknown(Stage):
 
     def __call__(self, work: Work) -> None:
         """Compare the confidence with the threshold."""
-        unknown = below_threshold(work.confidence, self.threshold)
+        unknown = is_unknown(work.confidence, self.threshold)
         if self.fill_nearest:
             nearest = self.levels.nearer(work.level, work.decoded.quantile(_PLAUSIBLE))
             work.level = np.where(unknown, nearest, work.level)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.input_file import LARGEST_PIXELS, check_picture_size
 from coded_aperture_ros.frames.pictures.jpeg_scan import (
     AC_FIRST,
     AC_REFINED,
@@ -21,7 +22,6 @@ from coded_aperture_ros.frames.pictures.jpeg_scan import (
     Scan,
     is_exactly,
 )
-from coded_aperture_ros.frames.pictures.size import LARGEST_PIXELS, check_size
 
 _START = b"\xff\xd8"
 _MARKER = 0xFF
@@ -84,7 +84,7 @@ def check_jpeg(data: bytes) -> None:
         for kind, segment, _ in _segments(data):
             if kind in (*_JUDGED, *_NOT_JUDGED) and kind != _NUMBER_OF_LINES:
                 rows, columns = struct.unpack_from(">HH", segment, 1)
-                check_size(rows, columns)
+                check_picture_size(rows, columns)
                 pixels = rows * columns
                 progressive = kind in _PROGRESSIVE_KINDS
             elif kind == _SCAN:

@@ -3,7 +3,7 @@
 import struct
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames.pictures.size import check_size
+from coded_aperture_ros.core.input_file import check_picture_size
 
 # Formats that OpenCV can decode in some builds, but which no camera of ours writes.
 _REFUSED = (
@@ -35,7 +35,7 @@ def check_bmp(data: bytes) -> None:
     except struct.error as error:
         raise InputError("not a picture, or truncated") from error
     # Rows are negative where the first one is the top.
-    check_size(abs(rows), abs(columns))
+    check_picture_size(abs(rows), abs(columns))
 
 
 def check_webp(data: bytes) -> None:
@@ -46,13 +46,13 @@ def check_webp(data: bytes) -> None:
     try:
         if kind == b"VP8X":
             (wide, high) = (int.from_bytes(data[at : at + 3], "little") for at in (24, 27))
-            check_size(high + 1, wide + 1)
+            check_picture_size(high + 1, wide + 1)
         elif kind == b"VP8L":
             (bits,) = struct.unpack_from("<I", data, 21)
-            check_size((bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1)
+            check_picture_size((bits >> 14 & 0x3FFF) + 1, (bits & 0x3FFF) + 1)
         elif kind == b"VP8 ":
             columns, rows = struct.unpack_from("<HH", data, 26)
-            check_size(rows & 0x3FFF, columns & 0x3FFF)
+            check_picture_size(rows & 0x3FFF, columns & 0x3FFF)
         else:
             raise InputError("not a picture, or truncated")
     except struct.error as error:

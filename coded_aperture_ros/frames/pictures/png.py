@@ -4,7 +4,7 @@ import struct
 import zlib
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames.pictures.size import check_size
+from coded_aperture_ros.core.input_file import check_picture_size
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = b"IHDR"
@@ -23,7 +23,7 @@ def check_png(data: bytes) -> None:
     view = memoryview(data)
     if data[start + 4 : start + 8] == _HEADER and len(data) >= start + 16:
         columns, rows = struct.unpack_from(">II", data, start + 8)
-        check_size(rows, columns)
+        check_picture_size(rows, columns)
     while start + 8 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, start)
         end = start + 12 + length  # length, kind, content, checksum

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.input_file import check_picture_size
 from coded_aperture_ros.core.text import short
-from coded_aperture_ros.frames.pictures.size import check_size
 
 _PBM = (b"P1", b"P4")
 _ASCII = (b"P1", b"P2", b"P3")
@@ -61,7 +61,7 @@ def read_pnm(data: bytes) -> tuple[NDArray, int]:
         raise InputError("truncated, or its Netpbm header is damaged")
     channels = 3 if kind in _COLOUR else 1
     columns, rows = (_whole(word, "size") for word in header.groups()[:2])
-    check_size(rows, columns)
+    check_picture_size(rows, columns)
     shape = rows, columns, channels
     if kind in _FLOAT:
         return _read_floats(data[header.end() :], shape, float(header[3])), 1
@@ -81,7 +81,7 @@ def _read_pam(data: bytes) -> tuple[NDArray, int]:
     )
     if channels not in _WITHOUT_ALPHA:
         raise InputError(f"PAM of {channels} channels, expected grey or RGB")
-    check_size(rows, columns)
+    check_picture_size(rows, columns)
     shape = rows, columns, channels
     pixels = _integers(data[end + len(_PAM_END) :], _PAM, shape, white)
     return pixels, white

@@ -12,7 +12,7 @@ import struct
 import zlib
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.frames.pictures.size import check_size
+from coded_aperture_ros.core.input_file import check_picture_size
 
 # Tags of the TIFF 6.0 specification, and of its supplements.
 _SUBFILE_TYPE = 254
@@ -188,7 +188,7 @@ def _check_size(layout: _Layout, directory: _Directory) -> None:
     """Refuse a picture, or tiles of one, that nobody should allocate."""
     for wide, high in ((_WIDTH, _HEIGHT), (_TILE_WIDTH, _TILE_HEIGHT)):
         rows, columns = (layout.numbers(directory.get(tag), (1,))[0] for tag in (high, wide))
-        check_size(rows, columns)
+        check_picture_size(rows, columns)
     samples = layout.numbers(directory.get(_SAMPLES), (1,))[0]
     if samples > _MOST_SAMPLES:
         raise InputError(f"TIFF of {samples} channels, expected grey or RGB")

@@ -234,9 +234,6 @@ def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
     return which
 
 
-# For weights' files without a calibration: fitted for the weights of the time.
-_FORMER_COEFFICIENTS = (-0.58, 1.45, 0.071, -0.5)
-_FORMER_DEVIATION = 0.78
 # Least distance of probabilities from 0 and 1: the logarithm must be finite.
 _SURE = 1e-3
 
@@ -245,8 +242,9 @@ _SURE = 1e-3
 class Calibration:
     """Calibration of confidence and standard deviation from the network's probabilities.
 
-    Fitted on random scenes kept apart, by `training/train.py refinement calibrate`. The network
-    is underconfident for wide blur, and overconfident where the error may be many pixels.
+    Its values are in the weights' file, into which `training/train.py refinement calibrate` writes
+    them, fitted on random scenes kept apart: the network is underconfident for wide blur, and
+    overconfident where the error may be many pixels.
 
     Attributes
     ----------
@@ -263,10 +261,12 @@ class Calibration:
 
     @classmethod
     def from_weights(cls, arrays: Mapping[str, NDArray[Any]]) -> "Calibration":
-        """Calibration in a weights' file (`calibration`, `deviation`); files may lack it."""
-        coefficients = arrays.get("calibration", np.array(_FORMER_COEFFICIENTS))
-        deviation = arrays.get("deviation", np.array(_FORMER_DEVIATION))
-        return cls(as_floats(coefficients), np.float32(deviation))
+        """Calibration in a weights' file (`calibration`, `deviation`).
+
+        Weights that are about to be calibrated have none: their probabilities stay as they are.
+        """
+        coefficients = arrays.get("calibration", np.array([0, 1, 0, 0]))
+        return cls(as_floats(coefficients), np.float32(arrays.get("deviation", 1)))
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays of the weights' file, by their names."""
