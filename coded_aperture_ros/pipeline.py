@@ -196,7 +196,7 @@ class FramePipeline:
         blur_size_px = self.blur_size_px(frame, depth)
         if not deblurrer.removes_motion:
             motion_px = None
-        return deblurrer.deblur(frame.picture, blur_size_px, self._noise(frame), motion_px)
+        return deblurrer.deblur(frame.picture, blur_size_px, self._channel_noise(frame), motion_px)
 
     def blur_size_px(self, frame: Frame, depth: DepthEstimate | FloatArray) -> FloatArray:
         """Signed blur sizes that a frame is deblurred by, px [map rows, map columns].
@@ -237,7 +237,9 @@ class FramePipeline:
         if self._deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")
         blur_size_px = self.blur_size_px(frame, depth)
-        return self._deblurrer.uncertainty(frame.picture, sharp, blur_size_px, self._noise(frame))
+        return self._deblurrer.uncertainty(
+            frame.picture, sharp, blur_size_px, self._channel_noise(frame)
+        )
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -302,7 +304,7 @@ class FramePipeline:
         if self._deblurrer is not None:
             sizes_px = self.model.stack.blur_sizes_px
             everywhere = np.full(shape, sizes_px[len(sizes_px) // 2], np.float32)
-            self._deblurrer.deblur(frame.picture, everywhere, self._noise(frame), None)
+            self._deblurrer.deblur(frame.picture, everywhere, self._channel_noise(frame), None)
         self.reset()
 
     def close(self) -> None:
@@ -357,10 +359,11 @@ class FramePipeline:
         model = self.model.for_view(self._view_camera)
         return make_deblurrer(model, config, self._progress)
 
-    def _noise(self, frame: Frame) -> float:
-        """Standard deviation of one channel's noise, by the rule of `KnownNoise.from_sources`.
+    def _channel_noise(self, frame: Frame) -> float:
+        """Standard deviation of one channel's noise, for deblurring.
 
-        Not what depth has estimated, which is of the mean of the channels: so the picture is the
+        By the rule of `KnownNoise.from_sources`, as for depth, where the options of deblurring go
+        first. Not what depth has estimated, which is of the mean of the channels: so the picture is the
         same as where depth comes from elsewhere.
         """
         deblur = None if self._deblurrer is None else self._deblurrer.config

@@ -12,6 +12,9 @@ from coded_aperture_ros.depth.config import DepthConfig
 class DeblurConfig:
     """Settings of deblurring; each field's `Option` has its unit, range and description.
 
+    `temporal_frames` is the largest number of frames whose mean is taken, where they are alike. It
+    is not that of `DepthConfig`, which says how fast the costs of past frames fade, without end.
+
     Raises
     ------
     InputError

@@ -138,7 +138,8 @@ class Deblurrer:
             covers the whole frame, and may be smaller.
         noise : float, optional
             Standard deviation of the noise of one channel, with its shot noise. By default that of
-            the configuration, and if that is 0, an estimate; see `channel_noise`.
+            the configuration, and if that is 0, an estimate; see `channel_noise`. A `FramePipeline`
+            always gives it, as it knows the noise of camera and bank, too.
         motion_px : ndarray, float32 [map rows, map columns, 2], optional
             Motion during the exposure, right and down, in pixels of the frame; not finite where
             unknown. The map covers the whole frame. Methods `cg` and `sparse` remove it, without
@@ -158,7 +159,7 @@ class Deblurrer:
         recorded = frame
         frame, measured, clipped = measured_pixels(frame, self.config.saturation)
         blur = self._blur_map(blur_size_px, frame, moves=motion is not None)
-        noise = noise or channel_noise(frame, KnownNoise.from_sources(self.config))
+        noise = noise or self._noise_by_config(frame)
         channels, frame_count = self._video.add(opponents(frame), noise)
         known = known_pixels(blur_size_px, frame.shape)
         data = channels, frame_count, measured, clipped, blur, known, motion, noise
@@ -201,13 +202,20 @@ class Deblurrer:
         for each in (frame, sharp):
             check_frame(each)
         frame, measured, _ = measured_pixels(frame, self.config.saturation)
-        noise = noise or channel_noise(frame, KnownNoise.from_sources(self.config))
+        noise = noise or self._noise_by_config(frame)
         blur = filled_blur_map(blur_size_px, frame)
         operator = blur_operator(self._basis(), blur, self._workers, self.config.occlusion)
         seen = crop_to_frame(operator.adjoint(measured.astype(np.float32))[0], operator)
         known = known_pixels(blur_size_px, frame.shape)
         kind = classify_pixels(blur, known, seen, self.stack.in_pixels)
         return estimate_uncertainty(frame, np.asarray(sharp, np.float32), measured, kind, noise)
+
+    def _noise_by_config(self, frame: FloatArray) -> float:
+        """Noise of one channel where the caller gives none: as configured, else estimated.
+
+        The rule for depth and deblurring alike is that of `FramePipeline`.
+        """
+        return channel_noise(frame, KnownNoise(self.config.noise, self.config.noise_gain))
 
     def _blur_map(self, blur_size_px: FloatArray, frame: FloatArray, moves: bool) -> FloatArray:
         """Blur sizes for the method [rows / reduction, columns / reduction], px of the frame."""

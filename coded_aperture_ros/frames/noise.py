@@ -95,8 +95,8 @@ class KnownNoise:
     def from_sources(cls, *sources: HasNoise | None) -> "KnownNoise":
         """Each value of the first source that has it.
 
-        The order is the same in the whole package: options that were set, then the camera file,
-        then the filter bank; otherwise noise is estimated.
+        The order is the same for depth (`DepthEstimator`) and deblurring (`FramePipeline`): options
+        that were set, then the camera file, then the filter bank; otherwise noise is estimated.
         """
         values = [
             next((value for source in sources if (value := getattr(source, name, 0.0))), 0.0)
