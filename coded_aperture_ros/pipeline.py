@@ -362,8 +362,8 @@ class FramePipeline:
     def _channel_noise(self, frame: Frame) -> float:
         """Standard deviation of one channel's noise, for deblurring.
 
-        By the rule of `KnownNoise.from_sources`, as for depth, where the options of deblurring go
-        first. Not what depth has estimated, which is of the mean of the channels: so the picture is the
+        By the rule of `KnownNoise.from_sources`, as for depth; the options of deblurring go first.
+        Not what depth has estimated, which is of the mean of the channels: so the picture is the
         same as where depth comes from elsewhere.
         """
         deblur = None if self._deblurrer is None else self._deblurrer.config

@@ -8,7 +8,7 @@ import pytest
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video, refinement_note
-from coded_aperture_ros.depth.decoders.network import small_bank, unsupported_reason
+from coded_aperture_ros.depth.decoders.network import NetworkDecoder, small_bank, unsupported_reason
 from coded_aperture_ros.depth.decoders.network.cells import (
     CELL_PX,
     HALVINGS,
@@ -260,6 +260,39 @@ def test_where_it_was_not_trained_it_stands_back(bank, camera, scene):
         for how in ("learned", "semiglobal")
     )
     assert np.array_equal(learned.level, classical.level, equal_nan=True)
+
+
+def uncertain_levels(model, *_):
+    return np.zeros(model.shape[:2], np.float32)
+
+
+# Settings, a window of the bank, a regulariser that is handed over: which decoder decides.
+CHOICES = {
+    "defaults": (DepthConfig(), 32, None, True),
+    "not asked for": (DepthConfig(regularize="semiglobal"), 32, None, False),
+    "none asked for": (DepthConfig(regularize="none"), 32, None, False),
+    "wide stride": (DepthConfig(stride_px=24), 32, None, False),
+    "small window": (DepthConfig(), 24, None, False),
+    "handed over": (DepthConfig(), 32, uncertain_levels, False),
+}
+
+
+@pytest.mark.parametrize("case", CHOICES)
+def test_stages_and_message_go_by_one_choice(bank, camera, case):
+    config, window_px, regularize, learned = CHOICES[case]
+    model = dataclasses.replace(bank, window_px=window_px)
+    estimator = DepthEstimator(model, config, camera, regularize=regularize)
+    names = [stage.name for stage in estimator.front((96, 128))]
+    (decode,) = [stage for stage in estimator.back((96, 128)) if stage.name == "decode"]
+    estimator.close()
+    assert isinstance(decode.decoder, NetworkDecoder) == ("small patches" in names) == learned
+    note = refinement_note(model, config)
+    # What a program hands over is no setting: there is nothing to say to users.
+    told = note is not None and "in place of learned" in note
+    assert told == (config.regularize == "learned" and not learned and regularize is None)
+    if told:
+        stride_px = config.stride_px or model.stride_px
+        assert unsupported_reason(model, stride_px) in note
 
 
 def test_most_of_a_simple_scene_is_right(bank, camera, scene):
