@@ -20,7 +20,7 @@ from coded_aperture_ros.io.messages import (
     mosaic_encoding,
     output_encoding,
     parse_encoding,
-    scaled_matrices,
+    region_matrices,
     stamp_ns,
 )
 from coded_aperture_ros.optics import Intrinsics
@@ -113,8 +113,8 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
 
 
 def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:
-    """Serialised camera model of a view resized to (rows, columns); see `scaled_matrices`."""
-    k, p = scaled_matrices(info, size[1], size[0])
+    """Serialised camera model of a view resized to (rows, columns); see `region_matrices`."""
+    k, p = region_matrices(info, size[1], size[0])
     resized = dataclasses.replace(
         info,
         header=header,

@@ -12,8 +12,9 @@ from coded_aperture_ros.bags.contents import BagMessage, Topic
 from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.topics import Outputs
+from coded_aperture_ros.depth.core_maps import CONFIDENCE, DEPTH, STD_DEV
 from coded_aperture_ros.frames import View
-from coded_aperture_ros.io.messages import contradiction, has_matrices, view_from_camera_info
+from coded_aperture_ros.io.messages import choose_camera_info, view_from_camera_info
 from coded_aperture_ros.optics import Camera
 
 # Messages that are copied wait for the next frame, but not more of them than this.
@@ -119,11 +120,10 @@ def batches(
             info, moved = own, ""
             if found is not None and is_frame:
                 moved = views.fault_of(found)
-                reason = "" if moved else contradiction(found, *size, views.camera)
-                if reason:
+                chosen, reason = choose_camera_info(found, *size, views.camera)
+                if reason and not moved:
                     refuse(f"{reason}: writing that of the camera file")
-                elif has_matrices(found):
-                    info = found
+                info = own if moved or chosen is None else chosen
             yield Batch(tuple(copies), frames if is_frame else None, info, moved)
             copies = []
             waiting = 0
@@ -154,9 +154,12 @@ def result_messages(
     """
     header = result.header
     if (maps := result.maps) is not None:
-        yield outputs.depth, codec.image_data(maps.depth_m, "32FC1", header)
-        yield outputs.confidence, codec.image_data(maps.confidence, "32FC1", header)
-        yield outputs.std_dev, codec.image_data(maps.std_dev_m, "32FC1", header)
+        for topic, values, spec in (
+            (outputs.depth, maps.depth_m, DEPTH),
+            (outputs.confidence, maps.confidence, CONFIDENCE),
+            (outputs.std_dev, maps.std_dev_m, STD_DEV),
+        ):
+            yield topic, codec.image_data(values, spec.encoding, header)
         rows, columns = maps.depth_m.shape
         yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
         for name, layer in maps.layers.items():
@@ -171,4 +174,5 @@ def warm_up(camera: Camera) -> None:
     """Prepare reading and writing of messages, which takes 0.1 s with the first ones."""
     info = codec.camera_info_message(camera.intrinsics)
     codec.read_camera_info(codec.camera_info_data(info, (1, 1), info.header))
-    codec.read_depth_image(codec.image_data(np.zeros((1, 1), np.float32), "32FC1", info.header))
+    image = codec.image_data(np.zeros((1, 1), np.float32), DEPTH.encoding, info.header)
+    codec.read_depth_image(image)

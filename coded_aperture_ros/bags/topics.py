@@ -9,6 +9,7 @@ from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text import listed, shortened
 from coded_aperture_ros.depth import layer_specs
+from coded_aperture_ros.depth.core_maps import CONFIDENCE, DEPTH, STD_DEV
 
 _RAW = "image_raw"
 _COMPRESSED_RAW = "image_raw/compressed"
@@ -34,9 +35,9 @@ class Outputs:
         """Names in a namespace, such as `/camera`; empty for the topmost."""
         top = namespace.rstrip("/")
         return cls(
-            depth=f"{top}/depth/image",
-            confidence=f"{top}/depth/confidence",
-            std_dev=f"{top}/depth/std_dev",
+            depth=f"{top}/{DEPTH.topic}",
+            confidence=f"{top}/{CONFIDENCE.topic}",
+            std_dev=f"{top}/{STD_DEV.topic}",
             depth_info=f"{top}/depth/camera_info",
             deblurred=f"{top}/deblurred/image",
             deblurred_info=f"{top}/deblurred/camera_info",

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.core_maps import CONFIDENCE, STD_DEV
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stages import layer_specs
@@ -23,8 +24,8 @@ def estimate_files(path: Path, *, metric: bool = True) -> list[Path]:
     metric : bool, optional
         Whether depth is in metres, not in levels.
     """
-    maps = ("confidence", "std_dev") if metric else ("confidence",)
-    beside = [_file_beside(path, name) for name in maps]
+    maps = (CONFIDENCE, STD_DEV) if metric else (CONFIDENCE,)
+    beside = [_file_beside(path, spec.name) for spec in maps]
     shown = [display_path(path)] if _is_dark(path) else []
     return [path, *beside, *shown, *_layer_files(path, metric).values()]
 
@@ -52,9 +53,9 @@ def write_estimate(
     write_depth(path, values)
     if _is_dark(path):
         write_depth_for_display(path, values)
-    write_depth(_file_beside(path, "confidence"), estimate.confidence)
+    write_depth(_file_beside(path, CONFIDENCE.name), estimate.confidence)
     if estimate.std_dev_m is not None and metric:
-        write_depth(_file_beside(path, "std_dev"), estimate.std_dev_m)
+        write_depth(_file_beside(path, STD_DEV.name), estimate.std_dev_m)
     for name, file in _layer_files(path, metric).items():
         if name in estimate.layers:
             write_depth(file, estimate.layers[name].values)

@@ -5,7 +5,7 @@ from typing import Literal
 
 from coded_aperture_ros.core.arrays import FloatArray
 
-LayerKind = Literal["depth", "bound", "probability", "share", "vector"]
+LayerKind = Literal["depth", "bound", "deviation", "probability", "share", "vector"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -20,11 +20,11 @@ class LayerSpec:
     description : str
         One sentence, for documents and help.
     unit : str
-        ``m``, ``px``, or empty for probabilities and shares.
+        ``m``, ``mm``, ``px``, or empty for probabilities and shares.
     kind : str
         ``depth``: distance along the axis, limited to the published range like depth itself;
-        ``bound``: free-space bound, a distance; ``probability`` and ``share``: 0 to 1; ``vector``:
-        right and down.
+        ``bound``: free-space bound, a distance; ``deviation``: of a depth; ``probability`` and
+        ``share``: 0 to 1; ``vector``: right and down.
     encoding : str
         Of the ROS image.
     points : str

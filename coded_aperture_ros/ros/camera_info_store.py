@@ -12,7 +12,7 @@ from sensor_msgs.srv import SetCameraInfo
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.frames import is_same_view
-from coded_aperture_ros.io.messages import MessageError, intrinsics_from_info
+from coded_aperture_ros.io.messages import MessageError, sensor_intrinsics
 from coded_aperture_ros.optics import Intrinsics, load_intrinsics
 
 DEFAULT_URL = "file://${ROS_HOME}/camera_info/${NAME}.yaml"
@@ -119,7 +119,7 @@ class CameraInfoStore:
 
     def _set(self, request: Any, response: Any) -> Any:
         try:
-            measured = intrinsics_from_info(request.camera_info, self._name)
+            measured = sensor_intrinsics(request.camera_info, self._name)
             if self._frame_size is not None:
                 _scaled_to(measured, *self._frame_size)
             measured.save(self._path)

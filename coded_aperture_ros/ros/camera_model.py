@@ -8,14 +8,9 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import View
-from coded_aperture_ros.io.messages import (
-    CameraInfos,
-    contradiction,
-    has_matrices,
-    view_from_camera_info,
-)
+from coded_aperture_ros.io.messages import CameraInfos, choose_camera_info, view_from_camera_info
 from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.ros.messages import camera_info_from_camera, scaled_camera_info, stamp_ns
+from coded_aperture_ros.ros.messages import camera_info_from_camera, region_camera_info, stamp_ns
 
 
 def required_camera(path: str) -> Camera:
@@ -75,18 +70,18 @@ class CameraModel:
         header: Header,
     ) -> CameraInfo:
         """Camera model of an output of a frame; sizes are (height, width), pixels."""
-        info = self._info
-        if info is None or not has_matrices(info) or self.complaint(camera, frame_size):
+        height, width = frame_size
+        info, _ = choose_camera_info(self._info, width, height, camera)
+        if info is None:
             view = self._view(camera, frame_size)
             shown = camera if view is None else _shown(camera, view)
             info = camera_info_from_camera(shown, header)
-        return scaled_camera_info(info, output_size[1], output_size[0], header)
+        return region_camera_info(info, output_size[1], output_size[0], header)
 
     def complaint(self, camera: Camera, frame_size: tuple[int, int]) -> str:
         """Reason why the driver's model cannot be that of the frames (height, width), or ""."""
-        info = self._info
         height, width = frame_size
-        reason = "" if info is None else contradiction(info, width, height, camera)
+        _, reason = choose_camera_info(self._info, width, height, camera)
         return reason and f"{reason}: publishing that of the camera file"
 
     def view(self, camera: Camera, frame_size: tuple[int, int]) -> View:

@@ -13,6 +13,7 @@ from sensor_msgs.msg import Image
 
 from coded_aperture_ros.bags.score import resize_reference
 from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth import core_maps
 from coded_aperture_ros.io.messages import array_from_image, frame_from_image
 from coded_aperture_ros.metrics.errors import DepthError, depth_error
 from coded_aperture_ros.ros.messages import stamp_ns
@@ -20,8 +21,8 @@ from coded_aperture_ros.ros.running import node_in_thread
 
 CODED = "image_raw"
 DEBLURRED = "deblurred/image"
-DEPTH = "depth/image"
-CONFIDENCE = "depth/confidence"
+DEPTH = core_maps.DEPTH.topic
+CONFIDENCE = core_maps.CONFIDENCE.topic
 TRUE_DEPTH = "ground_truth/depth"
 TRUE_IMAGE = "ground_truth/image"
 _MEASURED = (CODED, DEPTH, DEBLURRED)

@@ -29,6 +29,8 @@ from coded_aperture_ros.depth import (
     refinement_note,
     side_warning,
 )
+from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
+from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.frames.frame import LateFrameError
@@ -61,16 +63,7 @@ from coded_aperture_ros.ros.messages import (
     stamp_ns,
 )
 
-_CORE_TOPICS = {
-    "depth/image": Image,
-    "depth/image/compressedDepth": CompressedImage,
-    "depth/image_raw": Image,
-    "depth/image_raw/compressedDepth": CompressedImage,
-    "depth/confidence": Image,
-    "depth/std_dev": Image,
-    "depth/camera_info": CameraInfo,
-    "depth/points": PointCloud2,
-}
+_INFO = "depth/camera_info"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,12 +109,18 @@ class DepthNodeConfig:
 
 def output_types() -> dict[str, type]:
     """Message type of every topic that the node publishes; layers come from the stages of depth."""
-    types = dict(_CORE_TOPICS)
-    for spec in layer_specs():
+    types = {_INFO: CameraInfo}
+    for spec in (*CORE_MAPS, *layer_specs()):
         types[spec.topic] = Image
         if spec.points_topic:
             types[spec.points_topic] = PointCloud2
+    for spec in (DEPTH, DEPTH_MM):
+        types[_compressed_topic(spec)] = CompressedImage
     return types
+
+
+def _compressed_topic(spec: LayerSpec) -> str:
+    return f"{spec.topic}/compressedDepth"
 
 
 class DepthNode(FrameNode[tuple[Image, float]]):
@@ -224,7 +223,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if complaint := driver.complaint(self._model.whole, shape):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, shape, size, header)
-        self.send("depth/camera_info", info)
+        self.send(_INFO, info)
         self._send_points(frame, estimate, (depth_m, std_dev_m), info)
         figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
         self.finish_frame(header, estimate.seconds, figures, misfit)
@@ -258,26 +257,24 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self, estimate: DepthEstimate, depth_m: FloatArray, std_dev_m: FloatArray, header: Header
     ) -> None:
         """Publish the core results: depth, confidence and standard deviation."""
-        self._send_depth("depth/image", lambda: depth_m, "32FC1", header)
-        self._send_depth(
-            "depth/image_raw", lambda: millimetres_from_depth(depth_m), "16UC1", header
-        )
-        self._send_map("depth/confidence", estimate.confidence, header)
-        self._send_map("depth/std_dev", std_dev_m, header)
+        self._send_depth(DEPTH, lambda: depth_m, header)
+        self._send_depth(DEPTH_MM, lambda: millimetres_from_depth(depth_m), header)
+        self._send_map(CONFIDENCE, estimate.confidence, header)
+        self._send_map(STD_DEV, std_dev_m, header)
 
     def _send_depth(
-        self, topic: str, depth: Callable[[], NDArray[Any]], encoding: str, header: Header
+        self, spec: LayerSpec, depth: Callable[[], NDArray[Any]], header: Header
     ) -> None:
         """Publish a depth image, raw and compressed; it is only made where one is wanted."""
-        if self.wants(topic):
-            self.send(topic, image_from_array(depth(), encoding, header))
-        if self.wants(compressed := f"{topic}/compressedDepth"):
+        if self.wants(spec.topic):
+            self.send(spec.topic, image_from_array(depth(), spec.encoding, header))
+        if self.wants(compressed := _compressed_topic(spec)):
             content = compressed_depth(depth(), self.configs[DepthNodeConfig].compressed_depth)
             self.send(compressed, compressed_message(content, header))
 
-    def _send_map(self, topic: str, values: FloatArray, header: Header) -> None:
-        if self.wants(topic):
-            self.send(topic, image_from_array(values, "32FC1", header))
+    def _send_map(self, spec: LayerSpec, values: FloatArray, header: Header) -> None:
+        if self.wants(spec.topic):
+            self.send(spec.topic, image_from_array(values, spec.encoding, header))
 
     def _send_layers(self, estimate: DepthEstimate, header: Header) -> None:
         """Publish the images of all layers."""
@@ -285,7 +282,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             spec = layer.spec
             if self.wants(spec.topic):
                 values = limit_layer(layer.values, spec.kind, *self._range_m)
-                self.send(spec.topic, image_from_array(values, spec.encoding, header))
+                self._send_map(spec, values, header)
         motion = estimate.layers.get("motion")
         self._motion_note = "" if motion is None else motion.note
 
@@ -298,7 +295,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
     ) -> None:
         """Publish the point clouds of depth and of the layers that have one."""
         depth_m, std_dev_m = depth_and_deviation_m
-        clouds = {"depth/points": depth_m}
+        clouds = {DEPTH.points_topic: depth_m}
         for layer in estimate.layers.values():
             if layer.spec.points_topic:
                 values = limit_layer(layer.values, layer.spec.kind, *self._range_m)

@@ -15,7 +15,7 @@ from coded_aperture_ros.io.messages import (
     array_from_compressed,
     check_pixels,
     has_matrices,
-    scaled_matrices,
+    region_matrices,
 )
 from coded_aperture_ros.io.messages import stamp_ns as stamp_ns
 from coded_aperture_ros.optics import Camera, Intrinsics
@@ -118,7 +118,7 @@ def camera_info_from_recorded(recorded: Any, header: Header) -> CameraInfo:
     return info
 
 
-def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header) -> CameraInfo:
+def region_camera_info(info: CameraInfo, width: int, height: int, header: Header) -> CameraInfo:
     """Camera model of the region of interest, resized to `width` x `height` pixels.
 
     Pixel centres have whole coordinates: a scale s moves x to s (x + 1/2) - 1/2. Distortion
@@ -130,7 +130,7 @@ def scaled_camera_info(info: CameraInfo, width: int, height: int, header: Header
         Of kind "camera_info", if the message holds no camera model.
     """
     scaled = CameraInfo(header=copied_header(header), distortion_model=info.distortion_model)
-    scaled.k, scaled.p = scaled_matrices(info, width, height)
+    scaled.k, scaled.p = region_matrices(info, width, height)
     scaled.width = width
     scaled.height = height
     scaled.d = list(info.d)

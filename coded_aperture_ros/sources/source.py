@@ -11,10 +11,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import Frame, PixelFormat, View
 from coded_aperture_ros.io.messages import (
-    contradiction,
-    has_matrices,
-    intrinsics_from_info,
-    scaled_matrices,
+    choose_camera_info,
+    region_intrinsics,
     view_from_camera_info,
 )
 from coded_aperture_ros.optics import Camera, Intrinsics
@@ -102,23 +100,16 @@ class Capture:
     def intrinsics(self, camera: Camera) -> Intrinsics:
         """Pinhole model of the frame: the source's if it has one that can be, or the camera's."""
         height, width = self.frame.shape[:2]
-        info = self.camera_info
-        if info is None or not has_matrices(info) or self.complaint(camera):
-            view = self.view(camera) or View.whole(width, height)
-            return camera.resized(view.whole_width, view.whole_height).for_view(view).intrinsics
-        k, p = scaled_matrices(info, width, height)
-        return replace(
-            intrinsics_from_info(info),
-            image_width=width,
-            image_height=height,
-            camera_matrix=tuple(k),
-            projection_matrix=tuple(p),
-        )
+        info, _ = choose_camera_info(self.camera_info, width, height, camera)
+        if info is not None:
+            return region_intrinsics(info, width, height)
+        view = self.view(camera) or View.whole(width, height)
+        return camera.resized(view.whole_width, view.whole_height).for_view(view).intrinsics
 
     def complaint(self, camera: Camera) -> str:
         """Why the source's camera model cannot be that of a camera's frame; empty if it can."""
         height, width = self.frame.shape[:2]
-        return (self.camera_info and contradiction(self.camera_info, width, height, camera)) or ""
+        return choose_camera_info(self.camera_info, width, height, camera)[1]
 
 
 class Source(Protocol):

@@ -27,8 +27,8 @@ from coded_aperture_ros.frames.frame import StampOrder
 from coded_aperture_ros.io.messages import (
     ENCODINGS,
     array_from_image,
-    intrinsics_from_info,
     pixels_from_frame,
+    sensor_intrinsics,
 )
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
 from coded_aperture_ros.optics import Mask, load_camera, load_intrinsics, render_psf_stack
@@ -187,7 +187,7 @@ def test_camera_infos(nodes, folder, info):
     out = driver.at(info.header).info(camera, (HEIGHT, WIDTH), (HEIGHT // 2, WIDTH // 2), Header())
     assert (out.width, out.height) == (WIDTH // 2, HEIGHT // 2)
     try:
-        measured = intrinsics_from_info(info, "camera")
+        measured = sensor_intrinsics(info, "camera")
     except InputError:
         return
     assert np.isfinite(measured.camera_matrix).all()

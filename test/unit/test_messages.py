@@ -18,7 +18,7 @@ from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.ros.messages import (
     camera_info_from_camera,
     image_from_array,
-    scaled_camera_info,
+    region_camera_info,
     stamp_ns,
 )
 
@@ -250,7 +250,7 @@ def test_camera_info_of_a_camera_file():
 def test_a_decimated_camera_sees_a_point_at_the_same_place(width, height, x, y):
     """Pixel i covers [i - 1/2, i + 1/2]: relative to the image's edges nothing may move."""
     full = camera_info_from_camera(camera(), header())
-    small = scaled_camera_info(full, width, height, header())
+    small = region_camera_info(full, width, height, header())
     for centre, length, small_centre, small_length in zip(
         project(full, (x, y, 1)), (640, 480), project(small, (x, y, 1)), (width, height),
         strict=True,
@@ -263,7 +263,7 @@ def test_scaling_keeps_distortion_rotation_and_baseline():
     info = camera_info_from_camera(camera(), header())
     info.d = [0.1, -0.2, 0.001, 0.002, 0.03]
     info.p[3] = -80.0
-    half = scaled_camera_info(info, 320, 240, header("other"))
+    half = region_camera_info(info, 320, 240, header("other"))
     assert list(half.d) == [0.1, -0.2, 0.001, 0.002, 0.03]
     assert half.p[3] == -40.0
     assert half.k[2] == pytest.approx(159.5) and half.k[5] == pytest.approx(119.5)
@@ -273,13 +273,13 @@ def test_scaling_keeps_distortion_rotation_and_baseline():
 def test_a_missing_projection_matrix_is_filled_in():
     info = camera_info_from_camera(camera(), header())
     info.p = [0.0] * 12
-    half = scaled_camera_info(info, 320, 240, header())
+    half = region_camera_info(info, 320, 240, header())
     assert list(half.p) == [400, 0, 159.5, 0, 0, 400, 119.5, 0, 0, 0, 1, 0]
 
 
 def test_an_uncalibrated_camera_is_a_named_error():
     with pytest.raises(messages.MessageError) as caught:
-        scaled_camera_info(CameraInfo(width=640, height=480), 320, 240, header())
+        region_camera_info(CameraInfo(width=640, height=480), 320, 240, header())
     assert caught.value.kind == "camera_info"
 
 

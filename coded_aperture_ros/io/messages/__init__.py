@@ -5,10 +5,12 @@ A message is any object with the fields of its type: those of rclpy and those re
 
 from coded_aperture_ros.io.messages.camera_info import (
     check_camera_info,
+    choose_camera_info,
     contradiction,
     has_matrices,
-    intrinsics_from_info,
-    scaled_matrices,
+    region_intrinsics,
+    region_matrices,
+    sensor_intrinsics,
     view_from_camera_info,
 )
 from coded_aperture_ros.io.messages.camera_infos import CameraInfos
@@ -48,6 +50,7 @@ __all__ = [
     "array_from_image",
     "check_camera_info",
     "check_pixels",
+    "choose_camera_info",
     "compressed_depth",
     "compressed_picture",
     "contradiction",
@@ -55,7 +58,6 @@ __all__ = [
     "depth_pixels",
     "frame_from_image",
     "has_matrices",
-    "intrinsics_from_info",
     "limit_depth",
     "luminance",
     "millimetres_from_depth",
@@ -63,7 +65,9 @@ __all__ = [
     "output_encoding",
     "parse_encoding",
     "pixels_from_frame",
-    "scaled_matrices",
+    "region_intrinsics",
+    "region_matrices",
+    "sensor_intrinsics",
     "stamp_ns",
     "view_from_camera_info",
 ]

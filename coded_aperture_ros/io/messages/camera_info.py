@@ -4,6 +4,7 @@ A camera model is for the whole sensor. A driver that reads a region of it (`roi
 neighbouring pixels up (`binning_x`, `binning_y`) says so there, and leaves K and P unchanged.
 """
 
+import dataclasses
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -36,9 +37,35 @@ def check_camera_info(info: Any) -> None:
         reason = "width or height is 0: set the size of the pictures in the driver"
         raise MessageError("camera_info", f"camera_info: {reason}")
     try:
-        intrinsics_from_info(info)
+        sensor_intrinsics(info)
     except InputError as error:
         raise MessageError("camera_info", f"camera_info: {error}: calibrate again") from error
+
+
+def choose_camera_info(info: Any, width: int, height: int, camera: Camera) -> tuple[Any, str]:
+    """Camera model of a frame: the driver's, unless the camera file's has to stand in for it.
+
+    Parameters
+    ----------
+    info : sensor_msgs/CameraInfo or None
+        Of the driver, at the time of the frame.
+    width, height : int
+        Size of the frame, px.
+    camera : Camera
+        Of the camera file; the whole view, in any size.
+
+    Returns
+    -------
+    info : sensor_msgs/CameraInfo or None
+        None: the model is that of the camera file, as the driver has none, none with a calibration,
+        or one that is refused.
+    complaint : str
+        Why the driver's is refused; empty if it is not. See `contradiction`.
+    """
+    if info is None:
+        return None, ""
+    complaint = contradiction(info, width, height, camera)
+    return (None if complaint or not has_matrices(info) else info), complaint
 
 
 def contradiction(info: Any, width: int, height: int, camera: Camera) -> str:
@@ -128,8 +155,8 @@ def _focal_factors(info: Any, width: int, height: int, camera: Camera) -> tuple[
     return of_region, of_whole
 
 
-def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
-    """Intrinsics of a message, for the whole sensor.
+def sensor_intrinsics(info: Any, camera_name: str = "camera") -> Intrinsics:
+    """Intrinsics of the whole sensor in a message, whatever region and binning it states.
 
     Raises
     ------
@@ -150,8 +177,8 @@ def intrinsics_from_info(info: Any, camera_name: str = "camera") -> Intrinsics:
     return model
 
 
-def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
-    """K and P of a `sensor_msgs/CameraInfo` for its region at `width` x `height`.
+def region_matrices(info: Any, width: int, height: int) -> tuple[list[float], list[float]]:
+    """K and P of the region of a `sensor_msgs/CameraInfo`, in frames of `width` x `height`.
 
     `info` needs the fields `width`, `height`, `roi`, `k` and `p`; P is made from K where a driver
     left it empty. Distortion coefficients act on normalised coordinates and stay. Raises
@@ -166,6 +193,21 @@ def scaled_matrices(info: Any, width: int, height: int) -> tuple[list[float], li
     if info.p[0] > 0:
         return k, list(scaled_matrix(info.p, x, y, left, top))
     return k, [*k[:3], 0.0, *k[3:6], 0.0, 0.0, 0.0, 1.0, 0.0]
+
+
+def region_intrinsics(info: Any, width: int, height: int) -> Intrinsics:
+    """Intrinsics of the region of a message, in frames of a size.
+
+    Raises what `sensor_intrinsics` and `region_matrices` do.
+    """
+    k, p = region_matrices(info, width, height)
+    return dataclasses.replace(
+        sensor_intrinsics(info),
+        image_width=width,
+        image_height=height,
+        camera_matrix=tuple(k),
+        projection_matrix=tuple(p),
+    )
 
 
 def _region(info: Any) -> tuple[int, int, int, int]:
