@@ -87,6 +87,7 @@ def _warn(model: LikelihoodModel, config: DepthConfig, warns_of_sides: bool) -> 
     """Warn of what the model cannot do; a `UsageError` if the smoothness is of no use."""
     if note := refinement_note(model, config):
         logging.warning(note)
+    # Not in the table of rules: it depends on the bank whether learned or semiglobal decides.
     elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
         others = "semiglobal, tv or graphcut"
         raise UsageError(f"--smoothness: --regularize {config.regularize} has none, use {others}")

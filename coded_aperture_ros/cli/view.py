@@ -73,6 +73,7 @@ def run(args: Arguments) -> int:
     for suffix, name in ((".npz", "--bank"), (".yaml", "--camera"), (".yml", "--camera")):
         if args.source.endswith(suffix):
             raise UsageError(f"{args.source} has no frames: write {name} {args.source}")
+    # Not in a table of rules, which is gone through first: what the source is says more.
     if args.camera is None and args.source != SIMULATOR:
         raise UsageError("required: --camera (of what is not simulated)")
     if args.camera is not None and args.bank is None and args.depth_range is None:
