@@ -3,7 +3,7 @@
 from collections.abc import Collection
 
 from coded_aperture_ros.depth import DepthConfig
-from coded_aperture_ros.depth.decoders.network import unsupported_reason
+from coded_aperture_ros.depth.decoders.network import DecoderChoice, choose_decoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_viewer.settings import LookConfig, Settings
@@ -31,13 +31,16 @@ def inactive_settings(
     """
     depth = settings.depth
     reasons = {}
-    if reason := _no_smoothness(depth, model):
+    decoder = choose_decoder(model, depth.regularize, depth.stride_px or model.stride_px)
+    if reason := _no_smoothness(depth, decoder, model):
         reasons["depth.smoothness"] = reason
     if depth.regularize != LEARNED:
         reasons["depth.free_space_risk"] = _NEEDS_LEARNED
         reasons["depth.second_surface"] = _NEEDS_LEARNED
-    elif why := _unsupported(depth, model):
-        reasons["depth.second_surface"] = f"needs the learned network, and of this bank {why}"
+    elif decoder.reason:
+        reasons["depth.second_surface"] = (
+            f"needs the learned network, and of this bank {decoder.reason}"
+        )
     elif model.stack.has_both_sides:
         reasons["depth.second_surface"] = "not found with levels on both sides of the focal plane"
     if settings.run.paused:
@@ -49,15 +52,11 @@ def inactive_settings(
     return reasons
 
 
-def _no_smoothness(depth: DepthConfig, model: LikelihoodModel) -> str:
+def _no_smoothness(depth: DepthConfig, decoder: DecoderChoice, model: LikelihoodModel) -> str:
     """Why the smoothness of depth does nothing; empty if it acts."""
     if depth.regularize == "none":
         return "there is no regularisation"
     # The sides of the focal plane are decided by the classical regularisation.
-    if depth.regularize != LEARNED or model.stack.has_both_sides or _unsupported(depth, model):
+    if not decoder.learned or model.stack.has_both_sides:
         return ""
     return "the learned network has none"
-
-
-def _unsupported(depth: DepthConfig, model: LikelihoodModel) -> str:
-    return unsupported_reason(model, depth.stride_px or model.stride_px)

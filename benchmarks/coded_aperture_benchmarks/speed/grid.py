@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.speed.machine import Rates
 from coded_aperture_benchmarks.speed.setting import MASK, Setting, Size
 from coded_aperture_benchmarks.speed.video import VideoRun
 from coded_aperture_benchmarks.speed.work import ENGINE_STAGES, flop_of_hypotheses, flop_of_spectra
-from coded_aperture_ros.depth.decoders.network import unsupported_reason
+from coded_aperture_ros.depth.decoders.network import choose_decoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.likelihood import Plan
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
@@ -75,7 +75,7 @@ class SpeedGrid:
         bank = self._bank
         if bank is None:
             raise RuntimeError("the bank has not been learned")
-        if cell.regularize == LEARNED and unsupported_reason(bank, cell.stride_px):
+        if choose_decoder(bank, cell.regularize, cell.stride_px).reason:
             return
         setting = dataclasses.replace(
             self._setting, stride_px=cell.stride_px, temporal_frames=0.0, full_size=True
