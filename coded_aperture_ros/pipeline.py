@@ -360,11 +360,10 @@ class FramePipeline:
         return make_deblurrer(model, config, self._progress)
 
     def _channel_noise(self, frame: Frame) -> float:
-        """Standard deviation of one channel's noise, for deblurring.
+        """Noise of one channel for deblurring, by the rule for all: `KnownNoise.from_sources`.
 
-        By the rule of `KnownNoise.from_sources`, as for depth; the options of deblurring go first.
-        Not what depth has estimated, which is of the mean of the channels: so the picture is the
-        same as where depth comes from elsewhere.
+        Not what depth has estimated, the noise of the mean of the channels: depth from elsewhere
+        gives the same picture.
         """
         deblur = None if self._deblurrer is None else self._deblurrer.config
         known = KnownNoise.from_sources(deblur, self.depth_config, self.camera, self.model)
