@@ -196,7 +196,7 @@ class FramePipeline:
         blur_size_px = self.blur_size_px(frame, depth)
         if not deblurrer.removes_motion:
             motion_px = None
-        return deblurrer.deblur(frame.picture, blur_size_px, self._channel_noise(frame), motion_px)
+        return deblurrer.deblur(frame.picture, blur_size_px, self._noise(frame), motion_px)
 
     def blur_size_px(self, frame: Frame, depth: DepthEstimate | FloatArray) -> FloatArray:
         """Signed blur sizes that a frame is deblurred by, px [map rows, map columns].
@@ -237,9 +237,7 @@ class FramePipeline:
         if self._deblurrer is None:
             raise InputError("deblurring: the pipeline was made without it")
         blur_size_px = self.blur_size_px(frame, depth)
-        return self._deblurrer.uncertainty(
-            frame.picture, sharp, blur_size_px, self._channel_noise(frame)
-        )
+        return self._deblurrer.uncertainty(frame.picture, sharp, blur_size_px, self._noise(frame))
 
     def reset(self) -> None:
         """Forget the frames so far: the next one begins another video."""
@@ -304,7 +302,7 @@ class FramePipeline:
         if self._deblurrer is not None:
             sizes_px = self.model.stack.blur_sizes_px
             everywhere = np.full(shape, sizes_px[len(sizes_px) // 2], np.float32)
-            self._deblurrer.deblur(frame.picture, everywhere, self._channel_noise(frame), None)
+            self._deblurrer.deblur(frame.picture, everywhere, self._noise(frame), None)
         self.reset()
 
     def close(self) -> None:
@@ -359,7 +357,7 @@ class FramePipeline:
         model = self.model.for_view(self._view_camera)
         return make_deblurrer(model, config, self._progress)
 
-    def _channel_noise(self, frame: Frame) -> float:
+    def _noise(self, frame: Frame) -> float:
         """Noise of one channel for deblurring, by the rule for all: `KnownNoise.from_sources`.
 
         Not what depth has estimated, the noise of the mean of the channels: depth from elsewhere

@@ -280,7 +280,9 @@ CHOICES = {
 @pytest.mark.parametrize("case", CHOICES)
 def test_stages_and_message_go_by_one_choice(bank, camera, case):
     config, window_px, regularize, learned = CHOICES[case]
-    model = dataclasses.replace(bank, window_px=window_px)
+    model = bank
+    if window_px != bank.window_px:
+        model = learn_bank(bank.stack, LearnConfig(window_px=window_px))
     estimator = DepthEstimator(model, config, camera, regularize=regularize)
     names = [stage.name for stage in estimator.front((96, 128))]
     (decode,) = [stage for stage in estimator.back((96, 128)) if stage.name == "decode"]
