@@ -14,8 +14,8 @@ RUN apt-get update \
 RUN source /opt/ros/jazzy/setup.bash && colcon build
 # The entry point of the image sources ROS; this adds the workspace.
 RUN sed -i 's#^exec#source /ws/install/setup.bash\nexec#' /ros_entrypoint.sh
-# Nothing here needs to be root.
-RUN useradd --create-home ros
+# Nothing here needs to be root; cameras (`--device /dev/video0`) belong to the group video.
+RUN useradd --create-home --groups video ros
 USER ros
 WORKDIR /home/ros
 CMD ["bash", "-c", "ros2 launch coded_aperture_ros pipeline.launch.py source:=simulator \

@@ -236,3 +236,17 @@ def test_share_directory_that_is_missing_is_one_clear_line(tmp_path, monkeypatch
     with pytest.raises(InputError, match="install the package") as caught:
         share.share_directory()
     assert "\n" not in str(caught.value)
+
+
+def test_actions_are_pinned_by_commit_with_their_version_beside(checkout):
+    (workflow,) = (checkout / ".github/workflows").glob("*.yml")
+    used = re.findall(r"uses: *(.+)", workflow.read_text())
+    assert len(used) > 5
+    for line in used:
+        assert re.fullmatch(r"[\w./-]+@[0-9a-f]{40}  # v\d+\.\d+\.\d+", line), line
+
+
+def test_the_container_runs_as_a_user_that_is_not_root(checkout):
+    lines = re.findall(r"^(USER|CMD|ENTRYPOINT) (.*)", (checkout / "Dockerfile").read_text(), re.M)
+    assert [name for name, _ in lines] == ["USER", "CMD"]
+    assert lines[0][1] not in ("root", "0")
