@@ -107,7 +107,10 @@ class SqliteFile:
         That goes by an index, which may be lost; then first those in front of the damage, and then
         those behind it.
         """
-        columns = "SELECT id, CAST(topic_id AS INTEGER) FROM messages WHERE typeof(id) = 'integer'"
+        columns = (
+            "SELECT id, ifnull(CAST(topic_id AS INTEGER), -1) FROM messages "
+            "WHERE typeof(id) = 'integer'"
+        )
         numbers: array[int] = array("q")
         topics: array[int] = array("q")
         if not self.damage:
@@ -142,9 +145,10 @@ class SqliteFile:
         query = f"SELECT id, name, type, {', '.join(found)} FROM topics ORDER BY id"
         topics: dict[int, Topic] = {}
         left = self._size
-        for number, name, type_name, qos, type_hash, encoding in self._database.execute(query):
+        for number, name, *others in self._database.execute(query):
             if len(topics) == MOST_TOPICS:
                 raise sqlite3.DataError(f"it has more than {MOST_TOPICS} topics")
+            type_name, qos, type_hash, encoding = map(_text, others)
             left -= sum(len(str(each)) for each in (name, type_name, qos, type_hash, encoding))
             if left < 0 or not (isinstance(number, int) and isinstance(name, str)):
                 raise sqlite3.DataError(_TOO_MUCH if left < 0 else "a topic has no name")
@@ -160,9 +164,15 @@ class SqliteFile:
     def _definitions(self) -> dict[str, str]:
         query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
         try:
-            return dict(self._database.execute(query))
+            found = dict(self._database.execute(query))
+            return {name: _text(definition) for name, definition in found.items()}
         except sqlite3.Error:  # older bags have none
             return {}
+
+
+def _text(value: object) -> str:
+    """Value of a column of text, which may be of any type; empty if it is none."""
+    return value if isinstance(value, str) else ""
 
 
 def _qos(text: str) -> tuple[object, ...]:

@@ -149,3 +149,49 @@ def test_definitions_and_encodings_that_nobody_knows_are_no_damage(tmp_path):
         assert bag.topics["/a"].foreign is None
         assert str(bag.topics["/b"]) == "/b of std_msgs/msg/String (json)"
         assert bag.damage == ""
+
+
+VALUES = [None, "a", 1.5, 1e300, b"x", ""]
+
+
+def changed(whole, folder, table, column, value, where="1"):
+    """Return a file with another value in a table, which has no constraints."""
+    file = shutil.copy(whole[0], folder / "bag.db3")
+    with sqlite3.connect(file) as database:
+        database.execute(f"CREATE TABLE free AS SELECT * FROM {table}")
+        database.execute(f"DROP TABLE {table}")
+        database.execute(f"ALTER TABLE free RENAME TO {table}")
+        database.execute(f"UPDATE {table} SET {column} = ? WHERE {where}", (value,))
+    return file
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("column", ["id", "topic_id", "timestamp", "data"])
+def test_values_of_another_type_are_left_out(whole, tmp_path, column, value):
+    """SQLite puts any value into any column."""
+    found, _ = images(changed(whole, tmp_path, "messages", column, value, "id = 2"))
+    is_sound = column == "data" and isinstance(value, bytes)
+    # 1.5 is cast to the number of the topic.
+    assert len(found) == ALL - 1 + (is_sound or (column, value) == ("topic_id", 1.5))
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("column", ["type", "serialization_format", "offered_qos_profiles"])
+def test_texts_of_a_topic_may_be_of_any_type(whole, tmp_path, column, value):
+    with Bag(changed(whole, tmp_path, "topics", column, value)) as bag:
+        topic = bag.topics["/image"]
+        assert len(list(bag.messages())) in (0, ALL)
+    assert isinstance(topic.type_name, str)
+    assert isinstance(topic.qos, tuple)
+    assert str(topic)
+
+
+@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("column", ["topic_type", "encoded_message_definition"])
+def test_definitions_of_another_type_are_none(whole, tmp_path, column, value):
+    with Bag(changed(whole, tmp_path, "message_definitions", column, value)) as bag:
+        (topic,) = bag.topics.values()
+    # Columns of text turn numbers into it.
+    is_text = column != "topic_type" and isinstance(value, str | float)
+    assert bool(topic.definition) == (is_text and value != "")
+    assert isinstance(topic.definition, str)
