@@ -3,6 +3,7 @@
 import dataclasses
 import html
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
@@ -154,7 +155,7 @@ def _page(results: Mapping[str, Any]) -> str:
         shares = (row[each] for each in _OVER_FRAMES)
         texts = ("-" if share is None else f"{100 * share:.1f} %" for share in shares)
         name = html.escape(row["name"])
-        address = f"{quote(row['name'])}/{REPORT}/{PAGE}"
+        address = f"{quote(os.fsencode(row['name']))}/{REPORT}/{PAGE}"
         link = name if row is results else f'<a href="{address}">{name}</a>'
         rows.append("<td>".join(["<tr>", link, str(row["frames"]), str(row["used"]), *texts]))
     for source, reason in results["failed"].items():

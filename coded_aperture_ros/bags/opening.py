@@ -59,9 +59,11 @@ def open_parts(path: Path, resources: ExitStack) -> tuple[list[Part], list[str],
         except DAMAGE as error:
             refused = f"{file.name}: {one_line(error)}"
             damage.append(f"{file.name} cannot be read ({one_line(error)})")
-    damaged = damage or any(part.damage for part in parts)
+    reasons = [refused, *(f"{part.path.name}: {part.damage}" for part in parts if part.damage)]
+    damaged = damage or len(reasons) > 1
     if not parts or (damaged and not any(part.topics for part in parts)):
-        raise InputError(f"cannot read {path}: nothing in it can be read ({refused})")
+        reason = next(filter(None, reasons), "it has no topics")
+        raise InputError(f"cannot read {path}: nothing in it can be read ({reason})")
     return parts, damage, layout
 
 

@@ -68,13 +68,14 @@ def _page(results: Mapping[str, Any], record: FrameLog) -> str:
 
 
 def html_page(title: str, parts: Iterable[str]) -> str:
-    """HTML page with a title and pieces of HTML below it."""
+    """HTML page with a title and pieces of HTML below it; what is no Unicode in names is `?`."""
     title = html.escape(title)
     body = "\n".join([f"<h1>{title}</h1>", *parts])
-    return (
+    page = (
         f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
     )
+    return page.encode(errors="replace").decode()
 
 
 def _warnings(results: Mapping[str, Any]) -> Iterable[str]:

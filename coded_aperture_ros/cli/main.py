@@ -1,6 +1,7 @@
 """The program `coded_aperture`: runs the command that is typed, and says what goes wrong."""
 
 import errno
+import io
 import logging
 import os
 import sys
@@ -33,6 +34,7 @@ def main(words: Sequence[str] | None = None) -> int:
     """
     _set_up_libraries()
     _replace_closed_streams()
+    _print_any_name()
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format=f"{PROGRAM}: %(message)s")
     try:
         try:
@@ -101,6 +103,12 @@ def _replace_closed_streams() -> None:
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115
+
+
+def _print_any_name() -> None:
+    r"""Let names of files that are no Unicode be printed, as \udcff for the byte 255."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _set_up_libraries() -> None:

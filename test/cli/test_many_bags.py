@@ -5,13 +5,16 @@ import os
 import signal
 import subprocess
 import sys
+from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import unquote_to_bytes, urljoin, urlsplit
 
 import pytest
 from bag_scene import read, recording, worker_processes, write_bag
 from cli_scene import call, everything, examples, refused
 from waiting import output_of, scaled, wait_until
 
+from coded_aperture_ros.bags.many import Job, plan_jobs, write_summary
 from coded_aperture_ros.core.workers import processors
 
 WEEK = ("monday", "tuesday")
@@ -65,6 +68,43 @@ def test_several_bags_get_a_folder_each_and_a_report_over_all(scene, week, tmp_p
     for name in WEEK:
         assert f'<a href="{name}/report/report.html">' in page
         assert (target / name / "report" / "report.html").is_file()
+
+
+NAMES = [
+    "a b", "50%", "a%20b", "x#y", "q?z=1&w", "<b>\"'", "javascript:alert(1)", "a:b", "//host",
+    "\u00fc\u4e2d", "line\nbreak", "back\\slash", os.fsdecode(b"latin-\xfc"), "\u202etxt.exe",
+]  # fmt: skip
+
+
+def test_links_lead_to_the_bags_whatever_they_are_called(tmp_path):
+    sources = [tmp_path / "in" / name.removeprefix("/") for name in NAMES]
+    jobs = plan_jobs(sources, tmp_path / "out")
+    for job in jobs:
+        report = job.target / "report"
+        report.mkdir(parents=True)
+        content = {"output": str(job.target), "frames": 1, "used": 1, "series": []}
+        (report / "report.json").write_text(json.dumps(content))
+        (report / "report.html").write_text("it")
+    failed = tmp_path / "in" / os.fsdecode(b"\xff<i>")
+    write_summary(tmp_path / "out", [*jobs, Job(failed, failed)], {Job(failed, failed): "<i>"}, 0)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+    class Links(HTMLParser):
+        def handle_starttag(self, tag, attributes):
+            tags.append(tag)
+            if tag == "a":
+                links.append(dict(attributes)["href"])
+
+    tags, links = [], []
+    Links().feed(page)
+    assert len(links) == len(jobs)
+    base = (tmp_path / "out" / "report.html").as_uri()
+    for job, link in zip(jobs, links, strict=True):
+        address = urlsplit(urljoin(base, link))
+        assert address.scheme == "file"
+        assert address.netloc == address.query == address.fragment == ""
+        assert os.fsdecode(unquote_to_bytes(address.path)) == str(job.target / "report/report.html")
+    assert not {"b", "i", "script"} & set(tags)
 
 
 def test_what_is_complete_is_left_out(scene, week, tmp_path, capsys, caplog):
