@@ -12,6 +12,7 @@ from coded_aperture_ros.bags.names import METADATA
 from coded_aperture_ros.bags.reading import check_rosbags
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import replace_folder, temporary_folder
+from coded_aperture_ros.core.leftovers import remove_leftovers
 
 # Of bags as ROS 2 Jazzy writes them.
 _VERSION = 9
@@ -118,6 +119,7 @@ def check_bag_output(path: Path, inputs: Iterable[Path], overwrite: bool) -> Non
             raise InputError(f"cannot write {path}: {folder} is a bag: use a folder outside it")
         if folder.is_file():
             raise InputError(f"cannot write {path}: {folder} is not a folder")
+    remove_leftovers(path.parent)  # a bag that was about to be replaced has its name again
     if path.exists() or path.is_symlink():
         if not overwrite:
             raise InputError(f"{path} exists already: use another name, or --overwrite")

@@ -22,6 +22,7 @@ from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, required
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.leftovers import remove_leftovers
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text import listed
 from coded_aperture_ros.core.workers import processors
@@ -218,6 +219,8 @@ def _convert_all(args: Arguments) -> int:
     camera = args.camera and str(Path(args.camera).resolve())
     args = dataclasses.replace(args, bank=bank, camera=camera)
     jobs = plan_jobs(map(Path, args.inputs), Path(args.output))
+    # A bag that was about to be replaced has its name again.
+    remove_leftovers(Path(args.output))
     left = [job for job in jobs if args.overwrite or not job.done(_settings(args))]
     processes = 1 if args.scheduler else _bags_at_once(args, len(left))
     threads = processors() // processes if processes > 1 else 0

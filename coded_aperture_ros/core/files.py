@@ -12,7 +12,7 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.leftovers import remove_leftovers, temporary_name
+from coded_aperture_ros.core.leftovers import REPLACED, remove_leftovers, temporary_name
 
 # Of Linux: names are not relative to an open folder, and are exchanged.
 _HERE = -100
@@ -216,10 +216,11 @@ def _names_file(path: str | os.PathLike[str]) -> bool:
 
 
 def replace_folder(new: Path, path: Path) -> None:
-    """Give a folder the name of another one, which gets the name of the first.
+    """Give a folder the name of another one, which gets the name of the first or is removed.
 
-    At every moment a whole folder has the name; where a file system cannot exchange two names, the
-    old one is beside it as `NAME.replaced` if the process is killed in between.
+    At every moment a whole folder has the name. Only where a file system cannot exchange two names
+    there is a moment without: if the process is killed in it, `remove_leftovers` gives the old
+    folder its name again.
     """
     for file in (each for each in new.rglob("*") if each.is_file()):
         _flush(file)
@@ -227,11 +228,19 @@ def replace_folder(new: Path, path: Path) -> None:
     if not path.exists():
         new.rename(path)
     elif not _exchange(new, path):
-        old = path.with_name(f"{path.name}.replaced")
-        path.rename(old)
-        new.rename(path)
-        shutil.rmtree(old, ignore_errors=True)
+        _replace_in_two_steps(new, path)
     _flush(path.parent)
+
+
+def _replace_in_two_steps(new: Path, path: Path) -> None:
+    old = path.with_name(temporary_name(path.name, REPLACED))
+    path.rename(old)
+    try:
+        new.rename(path)
+    except OSError:
+        old.rename(path)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
 
 
 def _exchange(one: Path, other: Path) -> bool:

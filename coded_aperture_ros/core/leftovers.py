@@ -10,8 +10,10 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-# Host, process, and a number by chance; then the suffix.
-_NAME = re.compile(r"\..*-([0-9a-f]{6})-p([0-9]+)-[0-9a-f]{8}(\.[^.]*)?")
+# Suffix of a whole folder whose place another one takes.
+REPLACED = ".replaced"
+# Stem, host, process, and a number by chance; then the suffix.
+_NAME = re.compile(r"\.(.*)-([0-9a-f]{6})-p([0-9]+)-[0-9a-f]{8}(\.[^.]*)?")
 _looked_through: set[tuple[int, int, int]] = set()
 
 
@@ -30,7 +32,8 @@ def temporary_name(stem: str, suffix: str = "") -> str:
 def remove_leftovers(folder: Path) -> None:
     """Remove what processes of this machine left in a folder when they were killed.
 
-    Each process looks once through each folder.
+    A folder that was about to be replaced gets its name again if nothing else has it. Each process
+    looks once through each folder.
     """
     with suppress(OSError):
         found = folder.stat()
@@ -39,22 +42,31 @@ def remove_leftovers(folder: Path) -> None:
             return
         _looked_through.add(key)
         for entry in list(os.scandir(folder)):
-            if not _is_left(entry.name):
-                continue
-            if entry.is_dir(follow_symlinks=False):
-                shutil.rmtree(entry.path, ignore_errors=True)
-            else:
-                with suppress(OSError):
-                    Path(entry.path).unlink()
+            if _is_left(entry.name):
+                _clear(Path(entry.path))
+
+
+def _clear(left: Path) -> None:
+    """Remove a file or folder, or give a replaced folder its name again."""
+    match = _NAME.fullmatch(left.name)
+    assert match is not None
+    named = left.with_name(match[1])
+    with suppress(OSError):
+        if left.is_symlink() or not left.is_dir():
+            left.unlink()
+        elif match[4] == REPLACED and not os.path.lexists(named):
+            left.rename(named)
+        else:
+            shutil.rmtree(left, ignore_errors=True)
 
 
 def _is_left(name: str) -> bool:
     """Whether a name is that of a temporary file whose process has ended."""
     match = _NAME.fullmatch(name)
-    if match is None or match[1] != _host():
+    if match is None or match[2] != _host():
         return False
     try:
-        os.kill(int(match[2]), 0)
+        os.kill(int(match[3]), 0)
     except ProcessLookupError:
         return True
     except (OSError, OverflowError):  # of another user, or no number of a process

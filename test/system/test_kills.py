@@ -1,14 +1,16 @@
 """Killed at any moment, a program leaves a whole result, and the next run removes what was left.
 
-KILLS=100 kills each program so many times.
+KILLS=100 kills the programs so many times in all.
 """
 
 import json
+import math
 import os
 import subprocess
 import sys
 
 import killed_program
+import killed_writers
 import pytest
 import yaml
 from bag_scene import camera_info, image, write_bag
@@ -19,7 +21,8 @@ from coded_aperture_ros.io.picture_file import write_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.optics import load_camera, render_psf_stack
 
-KILLS = int(os.environ.get("KILLS", "4"))
+KINDS = "bag", "learn", "depth", "record"
+KILLS = math.ceil(int(os.environ.get("KILLS", "16")) / len(KINDS))
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +52,10 @@ def inputs(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("kind", ["bag", "learn", "depth"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_kill_leaves_a_whole_result(inputs, tmp_path, kind):
+    if kind == "record":
+        pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
     out = tmp_path / "out"
     bank = "--bank", inputs / "bank.npz"
     camera = "--camera", inputs / "camera.yaml"
@@ -59,14 +64,28 @@ def test_a_kill_leaves_a_whole_result(inputs, tmp_path, kind):
         "bag": [inputs / "recording", *bank, *camera, *of_bag],
         "learn": ["--depth-range", "1.3", "4", *camera, "-o", f"{out}.npz"],
         "depth": [inputs / "frame.png", *bank, *camera, "-o", f"{out}.npy"],
+        "record": [],
     }[kind]
     done = subprocess.run(
-        [sys.executable, killed_program.__file__, tmp_path, kind, str(KILLS), "1", kind, *words],
+        [sys.executable, killed_program.__file__, tmp_path, kind, str(KILLS), "1", *words],
         capture_output=True,
         text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     print(result)
     assert result["faults"] == []
     assert result["killed"] > 0
+    assert result["namings"] > 0
+
+
+@pytest.mark.parametrize("kind", killed_writers.WRITERS)
+def test_a_kill_before_any_step_of_writing_leaves_old_or_new(tmp_path, kind):
+    done = subprocess.run(
+        [sys.executable, killed_writers.__file__, tmp_path, kind], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    assert result["faults"] == []
+    assert result["steps"] > 10

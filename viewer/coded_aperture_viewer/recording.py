@@ -1,8 +1,9 @@
 """Snapshots (a frame with its maps) and recordings (bags) of the viewer."""
 
 import dataclasses
+import errno
 import time
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,8 @@ def new_path(output: Path, kind: str) -> Path:
     name = f"{kind}-{time.strftime('%Y%m%d-%H%M%S')}"
     path = output / name
     number = 1
-    while path.exists():
+    # What another viewer is still writing has a hidden folder with this name.
+    while path.exists() or any(output.glob(f".{path.name}-*")):
         number += 1
         path = output / f"{name}-{number}"
     return path
@@ -63,10 +65,12 @@ def write_snapshot(output: Path, shown: Shown, picture: FloatArray | None, camer
         written.mkdir()
         _write_files(written, shown, picture, camera)
         while True:
-            folder = new_path(output, "snapshot")
-            with suppress(FileExistsError):
-                folder.mkdir()  # another snapshot of this second gets another name
-                return written.replace(folder)
+            try:
+                return written.rename(new_path(output, "snapshot"))
+            except OSError as error:
+                # Another snapshot of this second has just got the name.
+                if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+                    raise
 
 
 def _write_files(folder: Path, shown: Shown, picture: FloatArray | None, camera: Camera) -> None:
