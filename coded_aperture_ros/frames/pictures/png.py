@@ -9,6 +9,9 @@ from coded_aperture_ros.core.input_file import check_picture_size
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _HEADER = b"IHDR"
 _END = b"IEND"
+_HEADER_BYTES = 13
+# Bits of a sample that go with each type of colour.
+_BITS = {0: (1, 2, 4, 8, 16), 2: (8, 16), 3: (1, 2, 4, 8), 4: (8, 16), 6: (8, 16)}
 # Animation, in which the picture is the first of several frames.
 _ANIMATION = b"acTL"
 
@@ -21,9 +24,7 @@ def check_png(data: bytes) -> None:
     """
     start = len(_SIGNATURE)
     view = memoryview(data)
-    if data[start + 4 : start + 8] == _HEADER and len(data) >= start + 16:
-        columns, rows = struct.unpack_from(">II", data, start + 8)
-        check_picture_size(rows, columns)
+    _check_header(data[start : start + 8 + _HEADER_BYTES])
     while start + 8 <= len(data):
         length, kind = struct.unpack_from(">I4s", data, start)
         end = start + 12 + length  # length, kind, content, checksum
@@ -37,3 +38,17 @@ def check_png(data: bytes) -> None:
             return
         start = end
     raise InputError("not a picture, or truncated")
+
+
+def _check_header(chunk: bytes) -> None:
+    """Raise `InputError` unless this is the header of a picture that is not too large.
+
+    libpng prints lines of its own about it.
+    """
+    if len(chunk) < 8 + _HEADER_BYTES:
+        raise InputError("not a picture, or truncated")
+    length, kind, columns, rows, bits, colour, *methods = struct.unpack(">I4sIIBBBBB", chunk)
+    is_known = bits in _BITS.get(colour, ()) and methods in ([0, 0, 0], [0, 0, 1])
+    if length != _HEADER_BYTES or kind != _HEADER or not (columns and rows and is_known):
+        raise InputError("damaged: the header of the PNG is none")
+    check_picture_size(rows, columns)
