@@ -51,7 +51,7 @@ test-installed: ## Build with colcon and run the ROS tests, on a machine with RO
 	@scripts/test_installed_ros.sh $(ROS_DISTRIBUTION) $(TEST_ARGS)
 
 fuzz: $(READY) ## Try twenty thousand broken and unusual messages and files
-	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest test/system/test_fuzz.py test/system/test_fuzz_truth.py $(TEST_ARGS)
+	@FUZZ_TIMES=1 $(VENV)/bin/python -m pytest $(addprefix test/system/test_fuzz,.py _truth.py _files.py _pages.py) $(TEST_ARGS)
 
 SOAK_SECONDS ?= 1800
 # Settings with which depth_node keeps up with 30 Hz at 640x480 on two processors.

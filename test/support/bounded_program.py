@@ -1,5 +1,8 @@
 """Runs `coded_aperture` once for each line of words (JSON), each in a process of its own with
-little memory, and prints what it did: status, errors, seconds, and bytes that it grew by."""
+little memory, and prints what it did: status, errors, seconds, and bytes that it grew by.
+
+Argument: largest address space, GiB.
+"""
 
 import faulthandler
 import importlib
@@ -12,9 +15,12 @@ import tempfile
 import time
 from pathlib import Path
 
-from coded_aperture_ros.cli.main import main
+# As the program sets it before it imports OpenCV.
+os.environ["OPENCV_LOG_LEVEL"] = "SILENT"
 
-LARGEST_ADDRESS_SPACE = 3 * 2**30
+from coded_aperture_ros.cli.main import main
+from coded_aperture_ros.core.figures import new_figure
+
 # What hangs is ended, and says where.
 LONGEST_S = 12
 WANTED = ("bags.conversion", "cli.bag", "cli.depth", "cli.learn", "io.picture_file")
@@ -26,7 +32,7 @@ def resident(which):
     return int(re.search(rf"{which}:\s+(\d+)", status)[1]) * 1024
 
 
-def run(words):
+def run(words, address_space):
     """What a program did."""
     with tempfile.TemporaryFile("w+") as errors:
         reading, writing = os.pipe()
@@ -34,7 +40,7 @@ def run(words):
         if child == 0:
             os.dup2(errors.fileno(), 2)
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-            resource.setrlimit(resource.RLIMIT_AS, (LARGEST_ADDRESS_SPACE,) * 2)
+            resource.setrlimit(resource.RLIMIT_AS, (address_space,) * 2)
             Path("/proc/self/clear_refs").write_text("5")
             before = resident("VmRSS")
             started_s = time.monotonic()
@@ -64,5 +70,6 @@ def run(words):
 if __name__ == "__main__":
     for name in WANTED:
         importlib.import_module(f"coded_aperture_ros.{name}")
+    new_figure(1, 1)  # imports much, too
     for line in sys.stdin:
-        print(json.dumps(run(json.loads(line))), flush=True)
+        print(json.dumps(run(json.loads(line), int(sys.argv[1]) * 2**30)), flush=True)

@@ -152,7 +152,7 @@ def command(path, folder):
         return "learn", "--camera", name, "--depth-range", "1", "2", "-o", f"{out}.npz"
     if path.suffix in (".mcap", ".db3", ".zstd"):
         return "bag", name, "--bank", bank, "--camera", camera, "-o", f"{out}_bag"
-    return "depth", "--bank", bank, name, "-o", f"{out}.npy"
+    return "depth", "--bank", bank, "--as-levels", name, "-o", f"{out}.npy"
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def results(folder):
             path.write_bytes(content())
         lines.append(json.dumps(command(path, folder)))
     done = subprocess.run(
-        [sys.executable, bounded_program.__file__],
+        [sys.executable, bounded_program.__file__, "3"],
         input="\n".join(lines),
         text=True,
         capture_output=True,
@@ -190,6 +190,7 @@ def test_hostile_file_is_refused_in_a_line(results, name, folder):
     *hints, line = result["errors"].splitlines() or [""]
     assert result["status"] == 1, result["errors"][-2000:]
     assert line.startswith("coded_aperture: error: ")
+    assert f"/{name}" in line
     assert len(line) < 1000
     assert all(hint.startswith("coded_aperture: ") for hint in hints), result["errors"][-2000:]
     assert result["seconds"] < LONGEST_S
