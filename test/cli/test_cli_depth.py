@@ -314,6 +314,30 @@ def test_a_movie_never_takes_the_place_of_what_is_there(scene, tmp_path, capsys)
     assert other.read_bytes() == before
 
 
+@pytest.mark.parametrize("count", [1, 2])
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [(b"x", "not a picture"), (b"", "empty"), (None, "smaller"), (b"\x89PNG", "truncated")],
+)
+def test_of_a_movie_without_a_frame_the_reasons_are_told(
+    scene, tmp_path, capsys, count, content, reason
+):
+    files = [tmp_path / f"{number}.png" for number in range(count)]
+    for file in files:
+        if content is None:
+            cv2.imwrite(str(file), np.zeros((3, 4), np.uint8))
+        else:
+            file.write_bytes(content)
+    asked = "--bank", scene.bank, *files, "-o", f"{tmp_path}/depth/"
+    result = call(capsys, "depth", *asked, "--movie", tmp_path / "movie.mp4")
+    assert result.status == 1
+
+    for file in files:
+        assert re.search(rf"{file}.*{reason}", result.err)
+    assert "Traceback" not in result.err
+    assert sorted(tmp_path.glob("*.mp4")) == []
+
+
 def test_a_movie_that_was_cut_off_is_not_left_behind(tmp_path):
     """A limit of the size of files stands in for a full disk."""
     program = (

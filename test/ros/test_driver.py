@@ -1,13 +1,17 @@
 """camera_driver_node over real DDS, from every kind of source."""
 
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import yaml
+from geometry_msgs.msg import TransformStamped
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, Image
 from waiting import scaled, wait_until
@@ -17,7 +21,13 @@ from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
-from coded_aperture_ros.sources import DeviceSource, PictureSource, SimulatorSource, open_source
+from coded_aperture_ros.sources import (
+    DeviceSource,
+    PictureSource,
+    SimulatorSource,
+    check_source,
+    open_source,
+)
 from coded_aperture_ros.sources.device import automatic_controls
 
 WIDTH, HEIGHT = 64, 48
@@ -272,6 +282,56 @@ def test_a_transform_is_no_condition(ros, camera_file, folder):
     images = ros.subscribe("image_raw", Image)
     drive(ros, camera_file, folder, **{"base.frame": "base_link", "base.z_m": 0.5})
     assert wait_until(lambda: images)
+
+
+def transform_message():
+    """Return the message of transforms; without tf2_msgs, a message that has just one of them."""
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        type(TransformStamped).__import_type_support__()
+
+        class OfOne(type(TransformStamped)):
+            def __call__(cls, transforms):
+                return transforms[0]
+
+            def __instancecheck__(cls, message):
+                return isinstance(message, TransformStamped)
+
+        class TFMessage(TransformStamped, metaclass=OfOne):
+            pass
+
+    return TFMessage
+
+
+def test_no_cycle_leaves_a_publisher_of_the_transform_behind(ros, camera_file, folder, monkeypatch):
+    module = SimpleNamespace(TFMessage=transform_message())
+    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", module)
+    monkeypatch.setitem(sys.modules, "tf2_msgs", SimpleNamespace(msg=module))
+    latched = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    received = ros.subscribe("/tf_static", module.TFMessage, latched)
+
+    def publishers():
+        return len(ros.probe.get_publishers_info_by_topic("/tf_static"))
+
+    node = drive(ros, camera_file, folder, **{"base.frame": "base_link"})
+    for number in range(1, 4):
+        assert wait_until(lambda number=number: len(received) == number)
+        assert wait_until(lambda: publishers() == 1)
+        assert ros.call(node.trigger_deactivate).name == "SUCCESS"
+        assert ros.call(node.trigger_cleanup).name == "SUCCESS"
+        assert wait_until(lambda: publishers() == 0)
+        assert ros.call(node.trigger_configure).name == "SUCCESS"
+        assert ros.call(node.trigger_activate).name == "SUCCESS"
+
+
+@pytest.mark.parametrize("name", ["\u00b2", "\u2460", "\u00bd", "1\u00b2", "-1", "1.0", " 1"])
+def test_no_digit_of_a_camera_is_a_name_of_files(camera_file, name):
+    """Superscripts and fractions count as digits for `str.isdigit` or `str.isnumeric`."""
+    for open_ in (check_source, lambda text: open_source(text, load_camera(camera_file), 10.0)):
+        with pytest.raises(InputError, match="no such file") as caught:
+            open_(name)
+        assert name in str(caught.value)
 
 
 def test_sources_by_name(camera_file, folder):
