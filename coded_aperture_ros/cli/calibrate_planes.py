@@ -28,7 +28,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs, check_output, check_suffix
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import rounded, table
+from coded_aperture_ros.core.text import rounded
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera_file import camera_entries

@@ -20,7 +20,8 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import rounded, table
+from coded_aperture_ros.core.text import rounded
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.io import read_image, write_image
 from coded_aperture_ros.optics import PsfStack, load_camera, load_mask
 

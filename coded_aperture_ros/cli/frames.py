@@ -190,10 +190,9 @@ def _captures(
 def decode(capture: Capture, args: PixelArguments, camera: Camera | None = None) -> Frame:
     """Frame of a capture, as the options say that its pixels are stored."""
     if camera is not None and (complaint := capture.complaint(camera)):
-        _warn_once(complaint)
+        _warn_once(f"{complaint}: points are those of the camera file")
     return capture.decode(PixelFormat(args.gamma, args.bits, args.bayer), camera)
 
 
-@functools.lru_cache(maxsize=16)
-def _warn_once(complaint: str) -> None:
-    logging.warning(f"{complaint}: points are those of the camera file")
+# A warning that many frames give is logged once.
+_warn_once = functools.lru_cache(maxsize=16)(logging.warning)

@@ -12,7 +12,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.processes import map_in_processes
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.design.mask_figures import draw_masks_by_light
 from coded_aperture_ros.design.search.search import SearchConfig

@@ -10,7 +10,7 @@ import numpy as np
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.results_folder import RESULTS, check_results_folder, write_results
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.design import fragmentation as design
 from coded_aperture_ros.design.mask_figures import draw_fragmented_responses
 

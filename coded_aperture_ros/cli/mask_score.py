@@ -11,7 +11,7 @@ from coded_aperture_ros.cli.command import Command, argument, group
 from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.cli.rules import needs
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.design.scores.crops import Textures, list_pictures
 from coded_aperture_ros.design.scores.pictures import WINDOWS, PictureScorer, patch_side_px
 from coded_aperture_ros.design.scores.predict import MaskScorer

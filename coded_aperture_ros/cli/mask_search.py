@@ -19,7 +19,7 @@ from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.design.scores.spectra import SceneConfig
 from coded_aperture_ros.design.search.checkpoint import load_checkpoint, save_checkpoint

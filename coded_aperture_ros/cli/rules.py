@@ -81,24 +81,20 @@ def _message(rule: Rule, settings: Mapping[str, Setting]) -> str:
     note = f" ({rule.note})" if rule.note else ""
     held = [other for other in rule.others if _holds(other, settings)]
     if rule.kind == "required":
-        return "" if held else f"required: {_any_of(rule.others)}{note}"
+        return "" if held else f"required: {_joined(rule.others)}{note}"
     given = _given(rule.subject, settings)
     if not given:
         return ""
     if rule.kind == "excludes":
         return f"{given}: not with {held[0]}{note}" if held else ""
     if rule.kind == "only with":
-        return "" if held else f"{given}: only with {_any_of(rule.others)}{note}"
+        return "" if held else f"{given}: only with {_joined(rule.others)}{note}"
     missing = [other for other in rule.others if other not in held]
-    return f"{given}: needs {', '.join(map(_spoken, missing))} too" if missing else ""
+    return f"{given}: needs {_joined(missing, ', ')} too" if missing else ""
 
 
-def _any_of(conditions: Sequence[str]) -> str:
-    return " or ".join(map(_spoken, conditions))
-
-
-def _spoken(condition: str) -> str:
-    return condition.replace(" | ", " or ")
+def _joined(conditions: Sequence[str], between: str = " or ") -> str:
+    return between.join(conditions).replace(" | ", " or ")
 
 
 def _holds(condition: str, settings: Mapping[str, Setting]) -> bool:

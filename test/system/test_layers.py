@@ -171,7 +171,7 @@ def test_nothing_outside_imports_the_command_line(checkout, beside):
 )
 def test_an_import_of_the_command_line_is_seen(source):
     assert imports_of_the_command_line(source) != []
-    assert imports_of_the_command_line("from coded_aperture_ros.core.text import table") == []
+    assert imports_of_the_command_line("from coded_aperture_ros.core.text_table import table") == []
 
 
 def test_no_circles_among_files_and_folders(sources):

@@ -19,7 +19,7 @@ from coded_aperture_ros.calibration.blind import find
 from coded_aperture_ros.calibration.pictures import blind_picture
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import load_mask
 

@@ -14,7 +14,7 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera

@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.reference.deblurring import deblur_by_planes
 from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import PsfStack

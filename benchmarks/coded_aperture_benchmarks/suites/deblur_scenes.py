@@ -19,7 +19,7 @@ from coded_aperture_benchmarks.metrics.restoration import overshoot, picture_sco
 from coded_aperture_benchmarks.pictures import as_rgb, enlarged, of_width, side_by_side
 from coded_aperture_benchmarks.rows import or_dash, tables
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB, decode
 from coded_aperture_ros.io import write_image

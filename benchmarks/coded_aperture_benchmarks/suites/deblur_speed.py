@@ -11,7 +11,7 @@ from coded_aperture_benchmarks.methods.deblurring import own_methods
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.machine import opencv_threads
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import Mask, render_psf_stack

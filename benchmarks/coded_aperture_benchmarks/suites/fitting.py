@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.metrics.relative import COVERED, WRONG, published
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.likelihood.bank import LearnConfig

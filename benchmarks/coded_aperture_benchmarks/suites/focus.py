@@ -13,7 +13,7 @@ from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.io import write_image

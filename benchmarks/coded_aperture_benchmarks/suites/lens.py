@@ -15,7 +15,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.optics import Camera
 

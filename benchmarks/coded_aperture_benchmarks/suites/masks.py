@@ -19,7 +19,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.stair import LARGEST_BLUR_PX, SMALLEST_BLUR_PX
 from coded_aperture_benchmarks.thesis.suites import stair
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.design.scores.pictures import PictureScorer, patch_side_px
 from coded_aperture_ros.design.scores.predict import MaskScorer
 from coded_aperture_ros.design.scores.spectra import SceneConfig

@@ -8,7 +8,7 @@ from coded_aperture_benchmarks.datasets import moving_scenes as frames
 from coded_aperture_benchmarks.options import JSON, OUTPUT, Args, number, option
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.motion_images import table_masks
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera

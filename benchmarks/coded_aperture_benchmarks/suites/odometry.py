@@ -19,7 +19,7 @@ from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES

@@ -11,7 +11,7 @@ from coded_aperture_benchmarks.metrics.dense import (
     WIDTHS,
 )
 from coded_aperture_benchmarks.run import Row
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 
 NAMES = ("scene", "mask", "learned_from", "regularize")
 

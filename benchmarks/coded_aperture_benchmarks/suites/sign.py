@@ -25,7 +25,7 @@ from coded_aperture_benchmarks.methods.depth import RANGE_MARGIN
 from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.optics import Camera, Mask, load_mask
 

@@ -16,7 +16,7 @@ from coded_aperture_benchmarks.speed import (
 )
 from coded_aperture_benchmarks.speed.figures import draw_speed
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.text import columns, table
+from coded_aperture_ros.core.text_table import columns, table
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood import BACKENDS
 

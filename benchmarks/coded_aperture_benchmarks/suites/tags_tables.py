@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_benchmarks.datasets.tag_cards import CARDS_M, QR, TAG
 from coded_aperture_benchmarks.rows import grouped, or_dash
 from coded_aperture_benchmarks.run import Row
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 
 # Where the coded camera is in focus.
 BEFORE = "before"

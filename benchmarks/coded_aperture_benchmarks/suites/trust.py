@@ -23,7 +23,7 @@ from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.deblur_photograph import photograph
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.likelihood.bank import LearnConfig

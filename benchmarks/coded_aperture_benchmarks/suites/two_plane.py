@@ -16,7 +16,7 @@ from coded_aperture_benchmarks.methods import identification
 from coded_aperture_benchmarks.rows import mean_of, place
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.stair import with_middle
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.optics import load_mask
 
 _PLACE = ("mask", "front_blur_px", "back_blur_px", "sigma")

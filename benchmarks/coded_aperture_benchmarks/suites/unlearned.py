@@ -16,7 +16,7 @@ from coded_aperture_benchmarks.metrics.relative import published
 from coded_aperture_benchmarks.rows import grouped
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.likelihood.bank import LearnConfig

@@ -25,7 +25,7 @@ from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.pictures import WHITE, as_rgb, titled
 from coded_aperture_benchmarks.rows import or_dash, place, unique
 from coded_aperture_benchmarks.run import Row, Suite
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, grey_picture, write_image

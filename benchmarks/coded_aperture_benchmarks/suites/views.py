@@ -18,7 +18,7 @@ from coded_aperture_benchmarks.rows import grouped, mean_of, or_dash
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, opening_centres, view_through
 from coded_aperture_ros.deblur.blur_map import filled_blur_map
 from coded_aperture_ros.depth import DepthConfig

@@ -30,7 +30,7 @@ from coded_aperture_benchmarks.thesis.tables import (
     mask_with_letter,
     thesis_deblurring_error,
 )
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import load_mask

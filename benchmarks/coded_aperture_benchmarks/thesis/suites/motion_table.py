@@ -8,7 +8,7 @@ from coded_aperture_benchmarks.datasets.textures import load_textures
 from coded_aperture_benchmarks.rows import tables
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.motion_images import TABLE_7_1, identify_motions, table_masks
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.likelihood.motion import MotionConfig
 
 _MASKS = ("disc", "A", "B", "C")

@@ -29,7 +29,7 @@ from coded_aperture_benchmarks.thesis.tables import (
     mask_with_letter,
     thesis_error,
 )
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.metrics.figures import reliability_diagram
 from coded_aperture_ros.metrics.reliability import Reliability
 from coded_aperture_ros.optics import load_mask

@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.thesis.reference.subspace_distances import (
     SubspaceDistances,
     subspace_distances,
 )
-from coded_aperture_ros.core.text import columns
+from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.optics import MASK_NAMES, load_mask
 
 _SMALLEST_PX, _LARGEST_PX = 7.0, 30.0

@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.thesis.planes import LEVELS, SIGMA, TABLE_5_1, make_planes
 from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.thesis.stair import level_error
-from coded_aperture_ros.core.text import table
+from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.likelihood.two_pixel import find_holes
 from coded_aperture_ros.optics import load_mask
 
