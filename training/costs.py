@@ -211,4 +211,4 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
     return stack(frames)
 
 
-COSTS = Data("costs", _compute_shard, (SCENES,), ("scenes", "banks", "costs"))
+COSTS = Data("costs", _compute_shard, (SCENES,), ("measured", "scenes", "banks", "costs"))

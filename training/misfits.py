@@ -334,4 +334,6 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
 
 
 _ARRAYS = ("features", "error", "coverage", "cause", "kind", "strength", "number")
-MISFITS_DATA = Data("misfits", _compute_shard, (SCENES,), ("scenes", "banks", "misfits"))
+MISFITS_DATA = Data(
+    "misfits", _compute_shard, (SCENES,), ("measured", "scenes", "banks", "misfits")
+)

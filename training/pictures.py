@@ -213,4 +213,6 @@ def _compute_shard(shard: int, _: dict[str, Arrays], folder: Path) -> Arrays:
     return stack([picture_arrays(number, folder) for number in numbers])
 
 
-PICTURES = Data("pictures", _compute_shard, modules=("scenes", "banks", "costs", "pictures"))
+PICTURES = Data(
+    "pictures", _compute_shard, modules=("measured", "scenes", "banks", "costs", "pictures")
+)

@@ -1,9 +1,10 @@
-"""Frames to learn from: random scenes through many masks, without noise, and their blur sizes."""
+"""Frames to learn from: scenes through many masks, without noise, and their blur sizes."""
 
 import dataclasses
 from pathlib import Path
 
 import numpy as np
+from measured import load_measured, measured_scene
 from shards import Arrays, Data, stack
 
 from coded_aperture_ros.optics import Mask
@@ -47,6 +48,9 @@ _EMPTY_SHARE = 0.2
 FIRST_FENCED_SHARD = 200
 _FENCE_SHARES = (0.4, 0.2, 0.15, 0.25)
 _FENCED_NEAR = 0.15
+# From this one on frames show photographs with measured disparity, if there are any.
+FIRST_MEASURED_SHARD = 300
+_MEASURED_NEAR = 0.15
 _MORE_OFTEN = {"zhou": 2.0, "four_hole": 2.0}
 # Blur is kept in 16 bits.
 _WIDEST_PX = 21.8
@@ -74,7 +78,13 @@ def frame_numbers(shard: int) -> range:
 
 def is_fenced(number: int) -> bool:
     """Whether a frame shows a room behind something, or by itself: from `FIRST_FENCED_SHARD`."""
-    return number >= FIRST_FENCED_SHARD * FRAMES_PER_SHARD
+    first, end = (shard * FRAMES_PER_SHARD for shard in (FIRST_FENCED_SHARD, FIRST_MEASURED_SHARD))
+    return first <= number < end
+
+
+def is_measured(number: int) -> bool:
+    """Whether a frame shows a photograph with measured disparity: from `FIRST_MEASURED_SHARD`."""
+    return number >= FIRST_MEASURED_SHARD * FRAMES_PER_SHARD
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,6 +111,12 @@ def scene_plan(number: int) -> ScenePlan:
         fence = str(random.choice([*FENCES, ""], p=_FENCE_SHARES))
         side = "near" if random.random() < _FENCED_NEAR else "far"
         return ScenePlan(number, mask, side, empty=not fence, fence=fence)
+    if is_measured(number):
+        far = random.uniform(6, _WIDEST_PX)
+        near = max(random.uniform(0.05, 0.7) * far, 0.9)
+        if random.random() < _MEASURED_NEAR:
+            return ScenePlan(number, mask, "near", (-far, -near))
+        return ScenePlan(number, mask, "far", (near, far))
     side = str(random.choice(["far", "near", "both"], p=[0.76, 0.1, 0.14]))
     if side == "both" and mask_named(mask).asymmetry < _ASYMMETRIC:
         side = "far"
@@ -156,7 +172,7 @@ def blur_px(steps: np.ndarray) -> np.ndarray:
     return sizes
 
 
-def render(number: int) -> Arrays:
+def render(number: int, photographs: Path = Path("measured")) -> Arrays:
     """Frame `number` without noise, and its truth, in whole steps; see `light_and_blur`.
 
     `light`, uint16, and `blur`, int16 [height, width]; `infinity`: blur size of what is infinitely
@@ -164,8 +180,10 @@ def render(number: int) -> Arrays:
     the room takes, and the blur sizes of that and of the room, `near` and `behind`, int16.
     """
     plan = scene_plan(number)
-    scene, fenced = build_scene(plan)
     random = np.random.default_rng([6, number])
+    if is_measured(number):
+        return _render_measured(plan, photographs, random)
+    scene, fenced = build_scene(plan)
     light = scene.coded(uneven_mask(mask_named(plan.mask), random.uniform(0, 0.08), random))
     two_surfaces = {}
     if is_fenced(number):
@@ -183,8 +201,26 @@ def render(number: int) -> Arrays:
     }
 
 
-def _render_shard(shard: int, _: dict[str, Arrays], __: Path) -> Arrays:
-    return stack([render(number) for number in frame_numbers(shard)])
+def _render_measured(plan: ScenePlan, photographs: Path, random: np.random.Generator) -> Arrays:
+    """The same of a photograph of a folder of folders; the truth is 0 where it is not known."""
+    folders = sorted(path.parent for path in photographs.glob("*/disparity.npz"))
+    if not folders:
+        raise SystemExit(f"{photographs}: no folder with disparity.npz in it: see README.md")
+    mask, shape = mask_named(plan.mask), (FRAME_PX, FRAME_PX)
+    assert plan.blur_range_px is not None
+    measured = load_measured(folders[plan.seed % len(folders)])
+    scene, known = measured_scene(measured, mask, plan.blur_range_px, shape, random)
+    light = scene.coded(uneven_mask(mask, random.uniform(0, 0.08), random))
+    return {
+        "light": np.rint(np.clip(light, 0, 1) / LIGHT_STEP).astype(np.uint16),
+        "blur": np.rint(scene.blur_size_px() * known / BLUR_STEP).astype(np.int16),
+        "infinity": np.float32(scene.camera.blur_at_infinity_px),
+    }
 
 
-SCENES = Data("scenes", _render_shard, modules=("scenes",))
+def _render_shard(shard: int, _: dict[str, Arrays], banks: Path) -> Arrays:
+    photographs = banks.parent / "measured"
+    return stack([render(number, photographs) for number in frame_numbers(shard)])
+
+
+SCENES = Data("scenes", _render_shard, modules=("measured", "scenes"))

@@ -53,4 +53,6 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], _: Path) -> Arrays:
     return stack([_windows(sources["scenes"], sources["costs"], index) for index in one_side])
 
 
-WINDOWS = Data("windows", _compute_shard, (SCENES, COSTS), ("scenes", "banks", "costs", "windows"))
+WINDOWS = Data(
+    "windows", _compute_shard, (SCENES, COSTS), ("measured", "scenes", "banks", "costs", "windows")
+)

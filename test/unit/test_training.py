@@ -448,7 +448,9 @@ def test_processes_and_workers_of_a_scheduler_make_the_same_frames(
     training, tmp_path, capsys, where
 ):
     render, shards = training["scenes"].render, training["shards"]
-    data = shards.Data("frame", lambda number, _, __: render(number), modules=("scenes",))
+    data = shards.Data(
+        "frame", lambda number, _, __: render(number), modules=("measured", "scenes")
+    )
     numbers = (1, 2, 3)
     if where == "processes":
         # Those that other tests have left do not look for modules in the folder of training.

@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import torch
-from network import LEVELS
-from planes import Planes, Trace, aperture_samples, seen_from_centre, traced
 from torch.nn import functional
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.optics import Mask, render_psf_stack
+from raw.network import LEVELS
+from raw.planes import Planes, Trace, aperture_samples, seen_from_centre, traced
 
 # How often masks are drawn; random ones, each a new one, take the rest.
 _MASKS = {

@@ -3,9 +3,10 @@
 import itertools
 
 import torch
-from evidence import Evidence
 from torch import nn
 from torch.nn import functional
+
+from raw.evidence import Evidence
 
 # Levels of a frame; their blur sizes are spread evenly over the range of its camera.
 LEVELS = 28

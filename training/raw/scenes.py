@@ -4,13 +4,13 @@ import dataclasses
 import math
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
-from covers import log_uniform, random_covers, smooth_noise, uniform
-from planes import MARGIN_PX, Planes
-from scipy.ndimage import distance_transform_edt
+from measured import load_measured
 from torch.nn import functional
+
+from raw.covers import log_uniform, random_covers, smooth_noise, uniform
+from raw.planes import MARGIN_PX, Planes
 
 # Things before the room of a random scene; behind them are a floor and a wall.
 THINGS = 10
@@ -19,8 +19,6 @@ _FLOOR_SHARE = 0.45
 _SAME_COLOUR_SHARE = 0.2
 _PLAIN_PARTS_SHARE = 0.2
 _CROWDED_SHARE = 0.6
-# How far a surface of a measured scene goes on behind what is before it, px.
-_HIDDEN_PX = 16
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -206,38 +204,18 @@ class Slices:
     away: torch.Tensor
 
 
-def linear_light(encoded: np.ndarray) -> np.ndarray:
-    """Light of values of sRGB, 0 to 1."""
-    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-
-
 def load_slices(folder: Path, count: int) -> Slices:
-    """Slices of a folder with `sharp_srgb.png` and `disparity.npz`."""
-    encoded = cv2.imread(str(folder / "sharp_srgb.png"))[..., ::-1].astype(np.float32) / 255
-    light = linear_light(encoded)
-    with np.load(folder / "disparity.npz") as arrays:
-        disparity = next(iter(arrays.values())).astype(np.float32)
-    known = np.isfinite(disparity)
-    nearest = distance_transform_edt(~known, return_distances=False, return_indices=True)
-    disparity = disparity[tuple(nearest)]
-    high, low = np.percentile(disparity, [99.9, 0.1])
-    place = np.clip((high - disparity) / (high - low), 0, 1)
-    of_pixel = np.minimum((place * count).astype(int), count - 1)
-    slices = []
-    for index in range(count):
-        # A pixel that shows something nearer hides what is next to it.
-        farther = of_pixel >= index
-        if not farther.any():
-            slices.append(np.zeros((5, *place.shape), np.float16))
-            continue
-        gap, (rows, columns) = distance_transform_edt(~farther, return_indices=True)
-        cover = (of_pixel[rows, columns] == index) & (gap <= _HIDDEN_PX)
-        painted = light[rows, columns] * cover[..., None]
-        slices.append(
-            np.concatenate([painted.transpose(2, 0, 1), [cover, known]]).astype(np.float16)
-        )
-    away = (np.arange(count, dtype=np.float32) + 0.5) / count
-    return Slices(torch.from_numpy(np.stack(slices)), torch.from_numpy(away))
+    """Slices of a folder with `sharp_srgb.png` and `disparity.npz`; the first may be empty."""
+    measured = load_measured(folder, count)
+    painted = []
+    for part in measured.slices:
+        cover = part.cover[..., None]
+        planes = [part.light * cover, cover, measured.known[..., None]]
+        painted.append(np.concatenate(planes, 2).transpose(2, 0, 1).astype(np.float16))
+    away = [float(part.away[part.cover].mean()) for part in measured.slices]
+    empty = count - len(painted)
+    painted = [np.zeros_like(painted[0])] * empty + painted
+    return Slices(torch.from_numpy(np.stack(painted)), torch.tensor([0.0] * empty + away))
 
 
 def measured_scenes(

@@ -1,7 +1,7 @@
 """Score a network on scenes with known depth, worst first.
 
 example:
-  python training/raw/score.py build/raw/any_average.pt --network any --mask levin scenes/desk
+  python training/score_raw.py build/raw/any_average.pt --network any --mask levin scenes/desk
 """
 
 import argparse
@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from cameras import Camera as RandomCamera
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
-from evidence import evidence, transfer_functions
-from fit import ONE_SIZES_PX, blur_sizes
-from network import LEVELS, AnyOptics, OneOptics
+from fit_raw import ONE_SIZES_PX, blur_sizes
+from raw.cameras import Camera as RandomCamera
+from raw.evidence import evidence, transfer_functions
+from raw.network import LEVELS, AnyOptics, OneOptics
 from torch.nn import functional
 
 from coded_aperture_ros.core.arrays import FloatArray
@@ -119,7 +119,7 @@ def main() -> None:
     parser.add_argument("--noise", type=float, default=0.002)
     options = parser.parse_args()
     network = {"any": AnyOptics, "one": OneOptics}[options.network]().eval()
-    state = torch.load(options.weights, weights_only=True)
+    state = torch.load(options.weights, weights_only=True, map_location="cpu")
     network.load_state_dict({name: value.float() for name, value in state.items()})
     rows = []
     for mask in options.masks:

@@ -1,32 +1,29 @@
 """Fit networks that see the frame itself to fresh scenes, for a time; go on where it was stopped.
 
 example:
-  python training/raw/fit.py --photographs pictures --measured scenes --seconds 500 --device cuda
+  python training/fit_raw.py --photographs pictures --measured scenes --seconds 500 --device cuda
 """
 
 import argparse
 import copy
-import dataclasses
 import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
-from cameras import Camera, exposed, random_camera, recorded
-from evidence import Evidence, evidence, transfer_functions
-from network import LEVELS, AnyOptics, OneOptics
-from planes import Trace, light_through
-from scenes import BlurRanges, Slices, load_slices, measured_scenes, random_scenes
+from raw.cameras import random_camera
+from raw.network import LEVELS, AnyOptics, OneOptics
+from raw.planes import light_through
+from raw.samples import Sample, Sources, batches, lights, load_photographs, sample
+from raw.scenes import Slices, load_slices
 from torch import nn
 from torch.nn import functional
 
-_SIDE_PX = 256
 _SLICES = 24
 _ONE_MASK = "levin"
 # Of the network for one mask: the blur sizes of its outputs.
@@ -40,52 +37,6 @@ _REPORT_S = 30
 _MORE_FOR_NARROW = 3.0
 _APART_PX = 1.0
 _NARROW = 13
-# Of which the frames of a batch are.
-_CAMERAS = 4
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sources:
-    """What scenes are made of: photographs [n, 3, rows, columns], and measured scenes."""
-
-    photographs: torch.Tensor
-    measured: list[Slices]
-    through: Trace
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Sample:
-    """A batch as networks see it, and its truth.
-
-    Attributes
-    ----------
-    given : Evidence
-    sizes_px : Tensor [batch, LEVELS]
-        Blur sizes of the levels.
-    near : Tensor [batch]
-        1 if the scene is before the plane in focus, else 0.
-    blur_px : Tensor [batch, rows / 2, columns / 2]
-        True blur sizes; NaN where they are not known.
-    """
-
-    given: Evidence
-    sizes_px: torch.Tensor
-    near: torch.Tensor
-    blur_px: torch.Tensor
-
-    @classmethod
-    def joined(cls, parts: "list[Sample]") -> "Sample":
-        """One batch of several."""
-
-        def all_of(name: str, of: list[Any]) -> torch.Tensor:
-            return torch.cat([getattr(one, name) for one in of])
-
-        given = [part.given for part in parts]
-        names = [field.name for field in dataclasses.fields(Evidence)]
-        return cls(
-            Evidence(*(all_of(name, given) for name in names)),
-            *(all_of(name, parts) for name in ("sizes_px", "near", "blur_px")),
-        )
 
 
 class Member:
@@ -122,70 +73,6 @@ class Member:
                     mean.lerp_(value, 1 - keep)
                 else:
                     mean.copy_(value)
-
-
-def load_photographs(folder: Path, device: torch.device) -> torch.Tensor:
-    """Linear light [n, 3, 512, 768] of the pictures of a folder."""
-    photographs = []
-    for path in sorted(folder.glob("*.png")):
-        picture = cv2.imread(str(path))[..., ::-1].astype(np.float32) / 255
-        if picture.shape[0] > picture.shape[1]:
-            picture = picture.transpose(1, 0, 2)
-        picture = cv2.resize(picture, (768, 512), interpolation=cv2.INTER_AREA)
-        photographs.append(
-            np.where(picture <= 0.04045, picture / 12.92, ((picture + 0.055) / 1.055) ** 2.4)
-        )
-    return torch.from_numpy(np.stack(photographs).transpose(0, 3, 1, 2).copy()).float().to(device)
-
-
-def lights(
-    cameras: list[Camera], sources: Sources, each: int, measured: bool, random: np.random.Generator
-) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Light of fresh scenes through each camera, and true blur sizes, NaN where not known."""
-    device = sources.photographs.device
-    ends = torch.tensor([[camera.near_px, camera.far_px] for camera in cameras], device=device)
-    ends = ends.repeat_interleave(each, 0)
-    blur = BlurRanges(ends[:, 0], ends[:, 1])
-    with torch.no_grad():
-        if measured:
-            planes, known = measured_scenes(_SIDE_PX, blur, sources.measured)
-        else:
-            planes = random_scenes(_SIDE_PX, blur, sources.photographs)
-            known = None
-        found = []
-        for index, camera in enumerate(cameras):
-            these = slice(index * each, (index + 1) * each)
-            light, truth = exposed(planes.part(these), camera, random, sources.through)
-            if known is not None:
-                truth = truth.masked_fill(~known[these], math.nan)
-            found.append((light, truth))
-    return found
-
-
-def sample(camera: Camera, light: torch.Tensor, truth: torch.Tensor) -> Sample:
-    """What networks see of light through a camera; every time with other noise."""
-    with torch.no_grad():
-        frames, noise = recorded(light)
-        stated = noise * torch.exp(0.1 * torch.randn_like(noise))
-        psfs = torch.from_numpy(camera.psfs()).to(light.device)
-        given = evidence(frames, stated, transfer_functions(psfs, frames.shape[-2:]))
-        down, right = torch.randint(0, 2, (2,)).tolist()
-        sizes = torch.from_numpy(camera.sizes_px).to(light.device).expand(len(light), -1)
-        near = torch.full((len(light),), float(camera.near), device=light.device)
-    return Sample(given, sizes, near, truth[:, down::2, right::2].contiguous())
-
-
-def _batches(
-    sources: Sources, options: argparse.Namespace, random: np.random.Generator, mask: str | None
-) -> Iterator[tuple[str, Sample]]:
-    """Batches of one drawing of scenes, with a word for their kind."""
-    measured = bool(sources.measured) and random.random() < options.measured_share
-    cameras = [random_camera(random, mask) for _ in range(_CAMERAS)]
-    each = max(options.batch // _CAMERAS, 1)
-    found = lights(cameras, sources, each, measured, random)
-    for _ in range(options.noises):
-        parts = [sample(camera, *one) for camera, one in zip(cameras, found, strict=True)]
-        yield "measured" if measured else "random", Sample.joined(parts)
 
 
 def losses(
@@ -289,11 +176,13 @@ def _resume(members: dict[str, Member], folder: Path) -> float:
     for name, member in members.items():
         if name not in found["steps"]:
             continue
-        member.network.load_state_dict(torch.load(folder / f"{name}_network.pt", weights_only=True))
-        member.average.load_state_dict(torch.load(folder / f"{name}_average.pt", weights_only=True))
-        member.optimizer.load_state_dict(
-            torch.load(folder / f"{name}_moments.pt", weights_only=True)
-        )
+        for part, kept in (
+            ("network", member.network),
+            ("average", member.average),
+            ("moments", member.optimizer),
+        ):
+            path = folder / f"{name}_{part}.pt"
+            kept.load_state_dict(torch.load(path, weights_only=True, map_location="cpu"))
         member.steps = found["steps"][name]
     return float(found["seconds"])
 
@@ -333,7 +222,8 @@ def main() -> None:
         if name in options.networks
     }
     before = _resume(members, options.out)
-    for member in members.values() if options.compile else ():
+    if options.compile and "any" in members:  # the other one takes a third of its time
+        member = members["any"]
         member.run = torch.compile(member.network, dynamic=False)
     whole = options.whole_seconds or before + options.seconds
     torch.manual_seed(options.seed + int(before))
@@ -348,7 +238,7 @@ def main() -> None:
         name = name if name in members else next(iter(members))
         member = members[name]
         member.network.train()
-        for kind, seen in _batches(sources, options, random, _ONE_MASK if name == "one" else None):
+        for kind, seen in batches(sources, options, random, _ONE_MASK if name == "one" else None):
             loss, right = losses(_logits(member.run, seen, device), _sizes(name, seen), seen)
             member.improve(loss, min(progress, 1.0))
             sums.setdefault(f"{name} {kind}", []).append(float(loss.detach()))
@@ -386,7 +276,7 @@ def _held_back(sources: Sources, batch: int) -> list[tuple[str, Sample]]:
     """Batches that are only scored; the same in every run."""
     torch.manual_seed(77)
     random = np.random.default_rng(77)
-    batches = []
+    held_back = []
     for mask in (_ONE_MASK, "zhou"):
         for measured in (False, True):
             if measured and not sources.measured:
@@ -394,8 +284,8 @@ def _held_back(sources: Sources, batch: int) -> list[tuple[str, Sample]]:
             camera = random_camera(random, mask)
             found = lights([camera], sources, max(batch // 2, 1), measured, random)
             seen = sample(camera, *found[0])
-            batches.append((f"{'measured' if measured else 'random'} {mask}", seen))
-    return batches
+            held_back.append((f"{'measured' if measured else 'random'} {mask}", seen))
+    return held_back
 
 
 if __name__ == "__main__":

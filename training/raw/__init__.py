@@ -1,0 +1,1 @@
+"""Fresh scenes in batches on any device, and networks that see the frame itself."""
