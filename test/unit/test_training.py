@@ -55,6 +55,33 @@ def test_some_frames_lose_weak_texture_and_keep_edges(training):
     assert np.abs(smooth - light).max() < 0.02
 
 
+def test_photographs_with_measured_disparity_are_scenes(training, few_frames, tmp_path):
+    scenes = training["scenes"]
+    random = np.random.default_rng(3)
+    folder = tmp_path / "measured" / "box"
+    folder.mkdir(parents=True)
+    picture = random.integers(0, 255, (300, 400, 3), np.uint8)
+    cv2.imwrite(str(folder / "sharp_srgb.png"), cv2.GaussianBlur(picture, (0, 0), 1))
+    disparity = np.full((300, 400), 10, np.float32)
+    disparity[:, 150:250] = 40
+    disparity[:40] = np.nan
+    np.savez(folder / "disparity.npz", disparity=disparity)
+    number = scenes.FIRST_MEASURED_SHARD * scenes.FRAMES_PER_SHARD
+    frames = [scenes.render(number + step, tmp_path / "measured") for step in range(6)]
+    sizes = [scenes.blur_px(frame["blur"]) for frame in frames]
+    ends = [scenes.scene_plan(number + step).blur_range_px for step in range(6)]
+    for found, (near, far) in zip(sizes, ends, strict=True):
+        known = found[np.isfinite(found)]
+        # Two surfaces, each at its end of the range: but for the width of a slice.
+        of_ends = np.minimum(np.abs(known - abs(near)), np.abs(known - abs(far)))
+        assert of_ends.max() < 0.06 * abs(far - near)
+    assert any(np.isnan(found).any() for found in sizes)
+    assert any(np.ptp(found[np.isfinite(found)]) > 1 for found in sizes)
+    assert all(frame["light"].std() > 0 for frame in frames)
+    with pytest.raises(SystemExit, match="no folder with disparity.npz"):
+        scenes.render(number, tmp_path / "none")
+
+
 def test_frames_and_their_costs_are_written_once(training, few_frames, run, tmp_path, capsys):
     scenes, costs = tmp_path / "scenes", tmp_path / "costs"
     training["shards"].make(training["scenes"].SCENES, tmp_path, (3, 4))
