@@ -88,7 +88,8 @@ setup(
         "gpu": ["torch>=2.2"],
         # Random scenes, and training of the refinement.
         "train": [
-            "torch>=2.2",
+            # Before 2.6 a state that is read as weights only may still run code (CVE-2025-32434).
+            "torch>=2.6",
             "onnx>=1.15",
             "onnxruntime>=1.17",
             "joblib>=1.3",

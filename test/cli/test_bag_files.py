@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import closing, suppress
 from pathlib import Path
@@ -37,6 +38,7 @@ from waiting import output_of, run_python, wait_until
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.engine import in_order
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.leftovers import REPLACED, temporary_name
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.sources import BagSource, PictureSource, open_source
@@ -152,6 +154,7 @@ def test_wherever_it_is_cut_what_is_before_can_be_read(small_bags, tmp_path, nam
 def test_a_broken_bag_and_no_bag_are_refused(scene, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "nothing.mcap").write_bytes(b"")
+    (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(30))
     (tmp_path / "text.db3").write_text("hello " * 1000)
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     zeros = write_bag(tmp_path / "zeros", recording(scene, frames=1))
@@ -161,6 +164,7 @@ def test_a_broken_bag_and_no_bag_are_refused(scene, tmp_path, capsys):
         ("missing", "no such file"),
         ("empty", "no bag"),
         ("nothing.mcap", "nothing in it can be read"),
+        ("cut.mcap", "nothing in it can be read (cut.mcap: "),
         ("text.db3", "nothing in it can be read"),
         ("old.bag", "rosbags-convert"),
         ("zeros", "nothing in it can be read"),
@@ -252,6 +256,51 @@ def test_bags_are_overwritten_only_if_told_so(scene, tmp_path, capsys):
     assert call(capsys, *command(scene, bag, target, "--overwrite")).status == 0
     assert sum(name == "/eye/depth/image" for name, *_ in read(target)) == 1
     assert {path.name for path in tmp_path.iterdir()} == {"in", "out", "plain"}
+
+
+def test_an_old_bag_stays_until_the_new_one_is_there(scene, tmp_path, capsys):
+    """Whatever the bag is called."""
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    target = write_bag(tmp_path / "replaced", recording(scene, frames=2))
+    known = target / "metadata.yaml"
+    found = {known.stat().st_ino}
+    ended = threading.Event()
+
+    def watch():
+        while not ended.is_set():
+            found.add(known.stat().st_ino if known.exists() else None)
+            time.sleep(2e-4)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        result = call(capsys, *command(scene, bag, target, "--overwrite"))
+    finally:
+        ended.set()
+        watcher.join()
+    assert result.status == 0
+    assert len(found) == 2 and None not in found
+    assert known.stat().st_ino in found
+    assert sum(name == "/eye/depth/image" for name, *_ in read(target)) == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "replaced"]
+
+
+@pytest.mark.parametrize("options", [(), ("--overwrite",)])
+def test_a_bag_that_a_kill_left_without_a_name_has_it_again(scene, tmp_path, capsys, options):
+    """Where names cannot be exchanged, there is such a moment."""
+    bag = write_bag(tmp_path / "in", recording(scene, frames=1))
+    target = write_bag(tmp_path / "out.v2", recording(scene, frames=2))
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    name = temporary_name(target.name, REPLACED).replace(f"-p{os.getpid()}-", f"-p{ended.pid}-")
+    before = everything(target)
+    target.rename(tmp_path / name)
+    result = call(capsys, *command(scene, bag, target, *options))
+    assert result.status == int(not options)
+    if not options:
+        assert "exists already" in result.err
+        assert everything(target) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in", "out.v2"]
 
 
 def test_what_fails_in_the_middle_leaves_the_old_bag(scene, tmp_path):

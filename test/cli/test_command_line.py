@@ -195,6 +195,12 @@ def test_closed_streams_take_nothing_and_have_nothing(redirected, out, err):
     assert (result.returncode, result.stdout, result.stderr) == (0, out, err)
 
 
+def test_names_that_are_no_unicode_are_printed(command, capsys):
+    command(lambda options: print(os.fsdecode(b"bad\xff.npz")) or 0)
+    assert program.main(["act"]) == 0
+    assert capsys.readouterr().out == "bad\\udcff.npz\n"
+
+
 @pytest.mark.parametrize("words", [1, 100_000])
 def test_a_full_disk_behind_the_output_is_one_line(words):
     result = in_shell(("-c", ACT, "act", str(words)), "> /dev/full")

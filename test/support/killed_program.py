@@ -155,7 +155,9 @@ def run(folder, kind, kills, seed, words):
     points = [(number, later) for number in range(namings) for later in LATER]
     chance.shuffle(points)
     killed = 0
-    for number in range(kills):
+    for number in range(3 * kills):  # some runs end before they are killed
+        if killed == kills:
+            break
         if number % 2 and points:
             point = points[number // 2 % len(points)]
             what = f"naming {point[0]}, step {point[1]}"

@@ -19,6 +19,7 @@ pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
 from coded_aperture_viewer import guard, open_page
 from coded_aperture_viewer import server as server_module
+from coded_aperture_viewer.keeping import Keeping
 from live_viewer import BlockedSource, client, serving, viewer_options
 
 from coded_aperture_ros.bags import Bag
@@ -355,6 +356,28 @@ def test_snapshots_of_one_second_are_not_mixed(options, tmp_path):
     names = [sorted(path.name for path in each.iterdir()) for each in (tmp_path / "kept").iterdir()]
     assert len(names) == 4 and names[0].count("depth.npy") == 1
     assert all(each == names[0] for each in names)
+
+
+def test_recordings_of_two_viewers_do_not_replace_each_other(options, tmp_path):
+    """Both begin in the same second, in one folder."""
+    (tmp_path / "kept").mkdir()
+
+    async def use(served):
+        async with client(served) as page:
+            await page.shown()
+            ours = served.server._keeping
+            other = Keeping(tmp_path / "kept", served.server._camera, "")
+            await served.until(lambda: ours._complete is not None)
+            other._complete = ours._complete
+            for each in (ours, other):
+                each.toggle_recording()
+            for each in (ours, other):
+                each.add(ours._complete, True)
+            return [each.toggle_recording().split(": ")[0] for each in (ours, other)]
+
+    paths = run(use, options())
+    assert len(set(paths)) == 2
+    assert len(list((tmp_path / "kept").iterdir())) == 2
 
 
 def test_nothing_is_kept_before_the_first_frame(options, tmp_path):

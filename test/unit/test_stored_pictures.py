@@ -259,6 +259,23 @@ def test_kinds_of_png_are_read_as_stored():
     assert_read(data, np.array([[0, 17, 34, 255], [51, 255, 255, 0]]), 255)
 
 
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [(0, 0), (4, 0), (8, 0x03000000), (8, 0x10030000), (8, 0x08010000), (8, 0x04020000),
+     (8, 0x08000100), (8, 0x08000001), (9, 0x00000002)],
+    ids=["width", "height", "bits", "16 bits of a palette", "colour", "4 bits of RGB",
+         "compression", "filter", "interlacing"],
+)  # fmt: skip
+def test_png_whose_header_is_none_is_refused(capfd, place, value):
+    """By us: libpng would print lines of its own."""
+    data = bytearray(png(0, 8, (1, 1, [b"\7"]))[0])
+    struct.pack_into(">I", data, 16 + place, value)
+    struct.pack_into(">I", data, 29, zlib.crc32(data[12:29]))
+    with pytest.raises(InputError, match="header of the PNG"):
+        decode_picture(bytes(data))
+    assert capfd.readouterr().err == ""
+
+
 def test_png_whose_data_are_damaged_is_refused():
     data = bytearray(cv2.imencode(".png", (255 * LIGHT).astype(np.uint8))[1].tobytes())
     data[len(data) // 2] ^= 1

@@ -1,7 +1,10 @@
 """What the training scripts write, here and by the workers of a Dask scheduler, and fit."""
 
+import contextlib
 import dataclasses
 import importlib
+import os
+import pickle
 import sys
 
 import cv2
@@ -37,6 +40,40 @@ def run(training):
         training["train"].main(arguments)
 
     return run_program
+
+
+class Bomb:
+    """Runs something when it is unpickled."""
+
+    def __init__(self, path):
+        self._path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self._path),)
+
+
+@pytest.mark.parametrize("kind", ["torch", "legacy", "pickle", "optimizer"])
+def test_a_state_runs_nothing(training, tmp_path, kind):
+    torch = pytest.importorskip("torch", reason="states are read by torch")
+    loop = importlib.import_module("loop")
+    marker, path = tmp_path / "has_run", tmp_path / "state.pt"
+    weights = {"weight": torch.zeros(1, 1), "bias": torch.zeros(1)}
+    state = {"network": weights, "average": weights, "optimizer": {}, "spent": 0.0, "step": 1}
+    state["optimizer" if kind == "optimizer" else "average"] = Bomb(marker)
+    if kind == "pickle":
+        path.write_bytes(pickle.dumps(Bomb(marker), 2))
+    else:
+        torch.save(state, path, _use_new_zipfile_serialization=kind != "legacy")
+    schedule = loop.Schedule(minutes=1.0, rate=0.1, warm_steps=1, decay=0.0)
+    problem = loop.Problem(torch.nn.Linear(1, 1), schedule, lambda step: iter(()), None, None)
+    for read in (lambda: loop.averaged_weights(path), lambda: loop.Fit(problem, path)):
+        with pytest.raises(pickle.UnpicklingError):
+            read()
+    assert not marker.exists()
+    # It runs without the limit to weights.
+    with contextlib.suppress(RuntimeError):
+        torch.load(path, weights_only=False)
+    assert marker.exists()
 
 
 def test_some_frames_lose_weak_texture_and_keep_edges(training):
@@ -323,7 +360,7 @@ def test_the_blend_is_fitted_goes_on_and_is_what_the_package_runs(
     steps = []
     for minutes in (0.03, 0.03, 0.06):
         run("blend", *fit, 3, 4, "--minutes", minutes)
-        steps.append(torch.load(tmp_path / "state" / "blend.pt")["step"])
+        steps.append(torch.load(tmp_path / "state" / "blend.pt", weights_only=True)["step"])
     assert 0 < steps[0] == steps[1] < steps[2]
     assert capsys.readouterr().out.count("2 items to learn from, 2 held back\nheld back: {") == 3
 
@@ -340,7 +377,7 @@ def assert_the_package_runs_what_was_fitted(torch, blend, monkeypatch, run, fold
 
     # As after a longer fit: the last layer begins with zeros.
     path = folder / "state" / "blend.pt"
-    state = torch.load(path)
+    state = torch.load(path, weights_only=True)
     last = state["average"]["last.weight"]
     last += 0.02 * torch.randn(last.shape, generator=torch.Generator().manual_seed(0))
     torch.save(state, path)
@@ -406,7 +443,9 @@ def test_the_second_surface_is_fitted_and_is_what_the_package_runs(
     assert surface._least_odds == weights["least_odds"]
     given = random.random((1, 144, 12, 16)).astype(np.float32)
     network = second.Second(144).eval()
-    network.load_state_dict(torch.load(tmp_path / "state" / "second.pt")["average"])
+    network.load_state_dict(
+        torch.load(tmp_path / "state" / "second.pt", weights_only=True)["average"]
+    )
     larger = torch.from_numpy(given.copy())
     larger[:, : 2 * len(BLUR_SIZES_PX)] *= 4
     with torch.no_grad():
@@ -456,7 +495,7 @@ def test_the_check_is_fitted_and_is_what_the_package_runs(torch, monkeypatch, ru
     health._weights.cache_clear()
     found = np.stack([health._outputs_of(features) for features in rows["features"]])
     health._weights.cache_clear()
-    state = torch.load(tmp_path / "state" / "check.pt")
+    state = torch.load(tmp_path / "state" / "check.pt", weights_only=True)
     members = check.Members(12).eval()
     members.load_state_dict(state["average"])
     with torch.no_grad():
