@@ -12,6 +12,7 @@ from contextlib import closing, suppress
 from pathlib import Path
 
 import cv2
+import hostile_files
 import numpy as np
 import pytest
 from bag_scene import (
@@ -154,7 +155,7 @@ def test_wherever_it_is_cut_what_is_before_can_be_read(small_bags, tmp_path, nam
 def test_a_broken_bag_and_no_bag_are_refused(scene, tmp_path, capsys):
     (tmp_path / "empty").mkdir()
     (tmp_path / "nothing.mcap").write_bytes(b"")
-    (tmp_path / "cut.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(30))
+    (tmp_path / "cut.mcap").write_bytes(hostile_files.mcap())
     (tmp_path / "text.db3").write_text("hello " * 1000)
     (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     zeros = write_bag(tmp_path / "zeros", recording(scene, frames=1))

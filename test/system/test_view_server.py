@@ -17,7 +17,7 @@ from waiting import scaled
 
 pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
-from coded_aperture_viewer import guard, open_page
+from coded_aperture_viewer import guard, open_page, recording
 from coded_aperture_viewer import server as server_module
 from coded_aperture_viewer.keeping import Keeping
 from live_viewer import BlockedSource, client, serving, viewer_options
@@ -356,6 +356,23 @@ def test_snapshots_of_one_second_are_not_mixed(options, tmp_path):
     names = [sorted(path.name for path in each.iterdir()) for each in (tmp_path / "kept").iterdir()]
     assert len(names) == 4 and names[0].count("depth.npy") == 1
     assert all(each == names[0] for each in names)
+
+
+def test_a_snapshot_whose_name_was_just_taken_gets_another(options, tmp_path, monkeypatch):
+    names = iter(["taken", "free"])
+    monkeypatch.setattr(recording, "new_path", lambda output, kind: output / next(names))
+    (tmp_path / "kept" / "taken").mkdir(parents=True)
+    (tmp_path / "kept" / "taken" / "coded.png").write_text("of another")
+
+    async def use(served):
+        async with client(served) as page:
+            await page.shown(lambda head: "picture" in head["parts"])
+            look = next(iter(served.server._pages)).look
+            return served.server._keeping.snapshot(look)
+
+    assert run(use, options()) == str(tmp_path / "kept" / "free")
+    assert (tmp_path / "kept" / "taken" / "coded.png").read_text() == "of another"
+    assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == ["free", "taken"]
 
 
 def test_recordings_of_two_viewers_do_not_replace_each_other(options, tmp_path):
