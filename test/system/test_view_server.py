@@ -158,6 +158,27 @@ def test_a_page_hears_from_a_paused_viewer(options, monkeypatch, tmp_path):
     run(use, options())
 
 
+def test_of_too_many_visitors_the_oldest_are_cut_off(options, monkeypatch):
+    monkeypatch.setattr(guard, "_REQUEST_S", 1000.0)
+
+    async def use(served):
+        idle = [
+            await asyncio.open_connection("127.0.0.2", served.port)
+            for _ in range(2 * guard._MOST_WAITING)
+        ]
+
+        def is_cut_off():
+            return [reader.at_eof() or reader.exception() is not None for reader, _ in idle]
+
+        # Those that come at one time are counted later.
+        await served.until(lambda: sum(is_cut_off()) >= guard._MOST_WAITING / 2)
+        assert is_cut_off()[0] and not is_cut_off()[-1]
+        for _, writer in idle:
+            writer.close()
+
+    run(use, options(host="127.0.0.2"))
+
+
 def test_visitors_without_the_token_take_no_connection_of_pages(options, monkeypatch):
     monkeypatch.setattr(guard, "_REQUEST_S", 2.0)
 
