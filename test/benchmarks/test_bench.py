@@ -223,6 +223,7 @@ def test_every_kind_of_misfit_changes_what_is_recorded(kind):
     assert found
 
 
+@pytest.mark.slow
 def test_trust_is_measured(capsys, folder):
     arguments = ("trust", folder, "--jobs", 1, "--kinds", "enlarged", "shrunk", "less light")
     result = call_benchmarks(capsys, *arguments, "--json")
@@ -264,6 +265,7 @@ def test_pictures_are_seen_by_many_cameras(capsys, tmp_path):
     assert "motorcycle" in pictures.SUITE.text({"cells": rows})
 
 
+@pytest.mark.slow
 def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(
@@ -365,6 +367,7 @@ def test_random_scenes_are_scored_one_by_one_and_together(capsys):
     assert other[0]["scene"] == "far 1000005"
 
 
+@pytest.mark.slow
 def test_rods_of_random_scenes_are_counted(capsys):
     pytest.importorskip("numba", reason="random scenes need numba")
     results = json_of(capsys, *RANDOM, "--random", 2, "--rods", "--side", "both", "--masks", "zhou")

@@ -7,6 +7,7 @@ from coded_aperture_benchmarks.suites import free_space
 pytest.importorskip("numba", reason="random scenes need numba")
 
 
+@pytest.mark.slow
 def test_a_few_random_frames(capsys, tmp_path):
     pytest.importorskip("matplotlib")
     arguments = ("free-space", "--frames", 1, "--risks", 0.01, 0.001, "--jobs", 1)

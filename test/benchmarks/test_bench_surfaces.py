@@ -7,6 +7,7 @@ from coded_aperture_benchmarks.suites import focus, second
 pytest.importorskip("numba", reason="random scenes need numba")
 
 
+@pytest.mark.slow
 def test_a_few_fences(capsys, tmp_path):
     pytest.importorskip("matplotlib")
     arguments = ("second", "--frames", 1, "--jobs", 1, "--output", tmp_path)
@@ -21,6 +22,7 @@ def test_a_few_fences(capsys, tmp_path):
     assert "taken for two" in second.SUITE.text(results)
 
 
+@pytest.mark.slow
 def test_a_few_pairs(capsys, tmp_path, monkeypatch):
     pytest.importorskip("matplotlib")
     monkeypatch.setattr(focus, "_SIZE", (192, 256))

@@ -470,6 +470,7 @@ def test_real_videos_are_read(data_dir):
     assert 3.9 < smallest < largest < 20.1
 
 
+@pytest.mark.slow
 def test_light_that_changes_in_a_video_is_measured(capsys, ray_traced, rgbd):
     result = call_benchmarks(capsys, "fitting", ray_traced, rgbd, "--jobs", 1, "--json")
     assert (result.status, result.err) == (0, "")

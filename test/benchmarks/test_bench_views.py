@@ -48,6 +48,7 @@ def test_opposite_openings():
     assert views._opposite(places) == ((-0.4, 0.3), (0.35, -0.3))
 
 
+@pytest.mark.slow
 def test_one_tiny_scene(capsys, tmp_path):
     pytest.importorskip("matplotlib")
     arguments = ("views", "--scenes", 1, "--first-scene", 1, "--size", "96x80")

@@ -39,6 +39,7 @@ def test_a_wall_is_blurred_by_the_psf_of_its_depth(depth_m):
     assert np.sqrt(np.mean((inside - expected) ** 2)) < 0.05 * np.std(inside)
 
 
+@pytest.mark.slow
 def test_a_camera_walks_through_a_room_and_stays_out_of_its_furniture():
     room, poses = random_room(1), walk(1, 20.0, 0.5)
     steps_m = np.linalg.norm(np.diff(poses[:, :3, 3], axis=0), axis=1)

@@ -65,6 +65,7 @@ def test_an_impossible_output_is_refused_before_anything_starts(tmp_path, capsys
 
 
 @pytest.mark.serial
+@pytest.mark.slow
 def test_a_short_demo(tmp_path):
     seconds = math.ceil(scaled(4))  # all-in-focus frames are few on a busy machine
     process = start("--output", tmp_path / "out", "--seconds", seconds, "--json")

@@ -66,6 +66,7 @@ def test_masks_are_compared_and_the_best_is_written(tmp_path, capsys, camera_fil
     assert Mask.from_file(folder / "four_wide.png") == Mask.named("four_wide")
 
 
+@pytest.mark.slow
 def test_a_search_finds_masks_to_try(capsys, camera_file, monkeypatch):
     monkeypatch.setattr("coded_aperture_ros.design.trials._SIZE", (160, 208))
     asked = ("--camera", camera_file, "--depth-range", 0.5, 4, "--masks", "levin", "--rounds", 1)

@@ -23,7 +23,7 @@ def commands_of(text):
     ("page", "least"),
     [
         ("README.md", 6),
-        ("docs/start.md", 8),
+        pytest.param("docs/start.md", 8, marks=pytest.mark.slow),
         pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
     ],
 )

@@ -130,6 +130,7 @@ def test_depth_is_right_where_the_psf_is_another(bank):
     assert max(with_) < 0.5 * max(without)
 
 
+@pytest.mark.slow
 def test_a_frame_through_the_lens_fits_its_bank(bank):
     """Only the middle is compared with what else it may be: the PSFs are those of the axis."""
     strong = dataclasses.replace(
@@ -195,6 +196,7 @@ def test_a_bank_comes_back_from_its_file(bank, tmp_path):
     assert again.field.field.intrinsics == bank.field.field.intrinsics
 
 
+@pytest.mark.slow
 def test_planes_show_how_the_psf_changes(monkeypatch):
     """A lens that changes much over the image is found with fewer parts, in fewer rounds."""
     few = {"ROWS": 3, "COLUMNS": 4, "_FIRST_ROUNDS": 2, "_ROUNDS": 4}
