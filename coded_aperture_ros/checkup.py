@@ -13,6 +13,7 @@ from coded_aperture_ros.design.setting import Setting, design_setting, resolutio
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.pupil import wider_mask_advice
 from coded_aperture_ros.pipeline import FramePipeline
 
 OK = "ok"
@@ -49,7 +50,7 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
     setting = design_setting(camera, near_m, far_m)
     return [
         _resolution(camera, setting, near_m, far_m),
-        _blur(setting),
+        _blur(camera, setting),
         _diffraction(setting),
         _open_area(setting),
     ]
@@ -64,7 +65,7 @@ def _resolution(camera: Camera, setting: Setting, near_m: float, far_m: float) -
     state = OK
     if setting.levels < _FEW_LEVELS:
         state = FAILED if setting.levels < _MIN_LEVELS else WARNING
-    remedy = "focus nearer to the scene, or use a wider mask: see design"
+    remedy = f"focus nearer to the scene, or use {wider_mask_advice(camera)}: see design"
     return Finding(
         "depth resolution",
         state,
@@ -78,14 +79,15 @@ def _resolution(camera: Camera, setting: Setting, near_m: float, far_m: float) -
     )
 
 
-def _blur(setting: Setting) -> Finding:
+def _blur(camera: Camera, setting: Setting) -> Finding:
     holes_px = setting.hole_blur_mean_px
     largest_px = max(setting.hole_blur_near_px, setting.hole_blur_far_px)
     state = OK
     if not holes_px > _MIN_HOLE_BLUR_PX:
         state = FAILED if largest_px < _MIN_HOLE_BLUR_PX else WARNING
     remedy = (
-        "holes below half a pixel code nothing: use a wider mask, or focus farther from the scene"
+        f"holes below half a pixel code nothing: use {wider_mask_advice(camera)}, or focus farther "
+        "from the scene"
     )
     return Finding(
         "blur",

@@ -33,6 +33,7 @@ from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.camera_file import camera_entries
+from coded_aperture_ros.optics.pupil import measured_beyond_pupil
 
 _EXAMPLES = """examples:
   a folder of pictures with planes.json or planes.csv (file, depth_m):
@@ -193,7 +194,8 @@ def _calibrate(args: Arguments, bank_file: str) -> int:
         return _calibrate_field(args, bank_file, camera, planes, error)
     summary = _summary(args, found, camera, round(time.perf_counter() - start, 3))
     _write_files(args, bank_file, found, camera, summary)
-    return print_summary(summary, _text, as_json=args.json)
+    warnings = summary.get("warnings", [])
+    return print_summary(summary, _text, as_json=args.json, warnings=warnings)
 
 
 def _calibrate_field(
@@ -269,7 +271,11 @@ def _summary(
         summary["camera_slope_px_m"] = camera.blur_per_dioptre_px
         if math.isfinite(pattern.focus_distance_m):
             camera = camera.refocused(pattern.focus_distance_m)
-        summary["mask_extent_mm"] = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
+        extent_mm = round(pattern.slope_px_m / camera.focal_length_px * 1e3, 4)
+        summary["mask_extent_mm"] = extent_mm
+        beyond = measured_beyond_pupil(pattern.mask, extent_mm, camera.pupil_mm)
+        warning = f"{args.camera}: {beyond}; {_CAMERA} is not written"
+        summary["warnings"] = [warning] if beyond else []
     return summary
 
 
@@ -284,7 +290,8 @@ def _write_files(
     with atomic_outputs() as output:
         if args.output is not None:
             write_report(output, args.output / _REPORT, summary, found.pattern.mask)
-            if camera is not None and math.isfinite(found.pattern.focus_distance_m):
+            finite = math.isfinite(found.pattern.focus_distance_m)
+            if camera is not None and finite and not summary["warnings"]:
                 text = _camera_text(summary, Path(str(args.camera)))
                 output(args.output / _CAMERA).write_text(text, encoding="utf-8")
         save_bank(found.bank, output(bank_file))

@@ -25,7 +25,13 @@ the stop. A lens that is not a .zmx file is a table with a line for each surface
 the last one before the sensor: radius, thickness to the next, index and Abbe number of what is
 behind it (1 and 0: air), diameter, in mm; 0 is flat, and 'stop' ends the line of the stop.
 """
-_REPLACED = ("focal_length_mm", "pixel_pitch_um", "lens_mask_distance_mm", "camera_info")
+_REPLACED = (
+    "focal_length_mm",
+    "pixel_pitch_um",
+    "lens_f_number",
+    "lens_mask_distance_mm",
+    "camera_info",
+)
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)

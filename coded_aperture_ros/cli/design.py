@@ -18,12 +18,14 @@ from coded_aperture_ros.design import (
     default_focus_range_m,
     design_curves,
     design_setting,
+    extents_within_pupil,
     mask_openings,
 )
 from coded_aperture_ros.design.figures import draw_design, has_matplotlib
 from coded_aperture_ros.design.page import finite, write_page
 from coded_aperture_ros.design.setting import Setting
 from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics.pupil import exceeds_pupil, largest_extent_mm, wider_mask_advice
 
 _EXAMPLES = """examples:
   the numbers of a camera, and the best focus distance and mask size:
@@ -83,10 +85,12 @@ def run(args: Arguments) -> int:
     with naming(args.camera):
         setting = design_setting(camera, near_m, far_m, config)
         focus_range_m = args.focus_range or default_focus_range_m(camera, near_m, far_m)
-        extent_range_mm = args.mask_range or default_extent_range_mm(camera)
+        extent_range_mm = extents_within_pupil(
+            camera, args.mask_range or default_extent_range_mm(camera)
+        )
         best = best_settings(camera, near_m, far_m, config, focus_range_m, extent_range_mm)
     openings = mask_openings(camera.mask)
-    warnings = _warnings(args, setting)
+    warnings = _warnings(args, camera, setting)
     summary = {
         "camera": args.camera,
         "mask": camera.mask.name,
@@ -99,6 +103,8 @@ def run(args: Arguments) -> int:
         **dataclasses.asdict(config),
         "focus_range_m": list(focus_range_m),
         "mask_range_mm": list(extent_range_mm),
+        "pupil_mm": camera.pupil_mm,
+        "largest_mask_mm": largest_extent_mm(camera.mask, camera.pupil_mm),
         "best": dataclasses.asdict(best[0]) if best else None,
         "best_on_other_side": dataclasses.asdict(best[1]) if best[1:] else None,
         "warnings": warnings,
@@ -115,14 +121,19 @@ def run(args: Arguments) -> int:
     )
 
 
-def _warnings(args: Arguments, setting: Setting) -> list[str]:
+def _warnings(args: Arguments, camera: Camera, setting: Setting) -> list[str]:
     warnings = []
     if not setting.diffraction_is_negligible:
         warnings.append(
             f"{args.camera}: the smallest hole, {setting.hole_width_mm:.2f} mm, is below the "
             f"diffraction limit of {setting.diffraction_limit_mm:.2f} mm: its Airy disc is "
-            f"{setting.airy_width_px:.1f} px wide; a larger mask has larger holes"
+            f"{setting.airy_width_px:.1f} px wide; take {wider_mask_advice(camera)}, or one with "
+            "larger holes"
         )
+    largest_mm = largest_extent_mm(camera.mask, camera.pupil_mm)
+    if args.mask_range is not None and args.mask_range[1] > largest_mm:
+        reason = exceeds_pupil(camera.mask, args.mask_range[1], camera.pupil_mm)
+        warnings.append(f"--mask-range: {reason or f'the pupil takes {largest_mm:g} mm'}")
     if args.output is not None and not has_matplotlib():
         warnings.append(
             f"{args.output}: no {_PICTURE}, which needs matplotlib (pip install matplotlib); "
@@ -170,6 +181,7 @@ def _table(summary: Summary, setting: Setting, best: Sequence[Setting]) -> str:
         _one("mean blur of the smallest hole", f"{setting.hole_blur_mean_px:.2f} px"),
         _one("ambiguous focus distances", f"{near_m:g} to {far_m:g} m"),
         _one("light", _light(setting)),
+        *_pupil(summary),
         _one(
             "smallest hole",
             f"{setting.hole_width_mm:.2f} mm, Airy disc {setting.airy_width_px:.2f} px wide "
@@ -194,6 +206,13 @@ def _table(summary: Summary, setting: Setting, best: Sequence[Setting]) -> str:
     if summary["output"] is not None:
         lines.append(f"{summary['output']}: open {_PAGE} in a browser")
     return "\n".join(lines)
+
+
+def _pupil(summary: Summary) -> list[str]:
+    if summary["pupil_mm"] is None:
+        return []
+    of_lens = f"{summary['pupil_mm']:.3g} mm wide, takes a mask of up to "
+    return [_one("pupil", of_lens + f"{summary['largest_mask_mm']:g} mm")]
 
 
 def _one(name: str, value: str) -> str:

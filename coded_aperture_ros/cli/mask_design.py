@@ -23,7 +23,6 @@ from coded_aperture_ros.design.trials import (
     CHOOSE,
     PARTS,
     UNSEEN,
-    Light,
     Trial,
     masks_in_order,
     measure,
@@ -32,6 +31,7 @@ from coded_aperture_ros.design.trials import (
 )
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.optics import Camera, Mask, load_camera, load_mask
+from coded_aperture_ros.simulation.exposure import Exposure
 
 _EXAMPLES = """examples:
   a mask for half a metre to four metres in a room (some minutes), with pictures and cut files:
@@ -124,7 +124,7 @@ def _trials(args: Arguments) -> list[Trial]:
         )
     near_m, far_m = args.depth_range
     blur_px = camera.blur_range_px(near_m, far_m)
-    light = Light(args.illuminance_lux, args.exposure_ms, args.full_well, args.read_noise)
+    light = Exposure(args.illuminance_lux, args.exposure_ms, args.full_well, args.read_noise)
     masks = [load_mask(name) for name in dict.fromkeys(args.masks)]
     if args.rounds:
         masks += _searched(args, sorted(abs(size) for size in blur_px))

@@ -17,6 +17,7 @@ from coded_aperture_ros.design.openings import Openings, narrowest_bar
 from coded_aperture_ros.design.sheet import Sheet, loose_parts_note, mask_sheet
 from coded_aperture_ros.design.sheet_files import sheet_dxf, sheet_pdf, sheet_svg
 from coded_aperture_ros.optics import Camera, Mask, load_camera, load_mask
+from coded_aperture_ros.optics.pupil import wider_mask_advice
 
 _EXAMPLES = """examples:
   the mask of a camera file, in its size, on a round piece that fits a filter ring of 77 mm:
@@ -90,9 +91,9 @@ def run(args: Arguments) -> int:
     camera = load_camera(args.camera) if args.camera else None
     mask = camera.mask if camera is not None else load_mask(str(args.mask))
     extent_mm = args.extent_mm or (camera.mask_extent_mm if camera is not None else 0.0)
-    if camera is not None:
-        camera = dataclasses.replace(camera, mask_extent_mm=extent_mm)
     with naming(args.camera or f"mask {args.mask}"):
+        if camera is not None:
+            camera = dataclasses.replace(camera, mask_extent_mm=extent_mm)
         sheet = mask_sheet(mask, extent_mm, args.outer_mm, args.label, args.kerf_mm)
     data = _WRITERS[Path(args.output).suffix.lower()](sheet)
     with atomic_output(args.output) as path:
@@ -143,8 +144,9 @@ def _warnings(
         if width_mm < args.smallest_cut_mm:
             warnings.append(
                 f"mask {mask.name}: the narrowest {what}, {width_mm:.2f} mm, is less than the "
-                f"{args.smallest_cut_mm:g} mm that can be cut: take a larger mask, or have it "
-                "printed on film"
+                f"{args.smallest_cut_mm:g} mm that can be cut: take "
+                f"{wider_mask_advice(camera) if camera else 'a wider mask'}, or have it printed on "
+                "film"
             )
     if camera and (warning := diffraction_warning(camera, camera.blur_at_infinity_px)):
         warnings.append(warning)

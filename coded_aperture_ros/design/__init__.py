@@ -5,6 +5,7 @@ from coded_aperture_ros.design.curves import (
     default_extent_range_mm,
     default_focus_range_m,
     design_curves,
+    extents_within_pupil,
 )
 from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.design.setting import DesignConfig, design_setting
@@ -16,5 +17,6 @@ __all__ = [
     "default_focus_range_m",
     "design_curves",
     "design_setting",
+    "extents_within_pupil",
     "mask_openings",
 ]

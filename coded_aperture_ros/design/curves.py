@@ -16,6 +16,7 @@ from coded_aperture_ros.design.setting import (
     resolution_m,
 )
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.pupil import exceeds_pupil, largest_extent_mm
 
 _SAMPLES = 200
 # Settings whose number of levels is within this of the most count as equal.
@@ -121,7 +122,7 @@ def default_focus_range_m(camera: Camera, near_m: float, far_m: float) -> tuple[
 
 
 def default_extent_range_mm(camera: Camera) -> tuple[float, float]:
-    """Mask extents to search, mm: half the camera's to twice the camera's.
+    """Mask extents to search, mm: half the camera's to twice the camera's, within the pupil.
 
     Examples
     --------
@@ -131,7 +132,36 @@ def default_extent_range_mm(camera: Camera) -> tuple[float, float]:
     >>> default_extent_range_mm(camera)
     (5.0, 20.0)
     """
-    return camera.mask_extent_mm / 2, camera.mask_extent_mm * 2
+    largest_mm = largest_extent_mm(camera.mask, camera.pupil_mm)
+    return camera.mask_extent_mm / 2, min(camera.mask_extent_mm * 2, largest_mm)
+
+
+def extents_within_pupil(
+    camera: Camera, extent_range_mm: tuple[float, float]
+) -> tuple[float, float]:
+    """Part of a range of mask extents, mm, that fits into the pupil of the lens.
+
+    Raises `InputError` if the range is not increasing, or no mask of it fits.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros import Camera
+    >>> from coded_aperture_ros.optics import Mask
+    >>> lens = {"focal_length_mm": 25.0, "lens_f_number": 1.4}
+    >>> camera = Camera(1000.0, 2.0, 64, 48, Mask.named("four_hole"), 10.0, **lens)
+    >>> extents_within_pupil(camera, (5.0, 20.0))
+    (5.0, 12.6)
+    """
+    low_mm, high_mm = extent_range_mm
+    if not 0 < low_mm <= high_mm < math.inf:
+        raise InputError(
+            f"mask sizes {low_mm:g} to {high_mm:g} mm: expected two increasing sizes of more than "
+            "0 mm"
+        )
+    if reason := exceeds_pupil(camera.mask, low_mm, camera.pupil_mm):
+        raise InputError(f"mask sizes: {reason}")
+    largest_mm = largest_extent_mm(camera.mask, camera.pupil_mm)
+    return min(low_mm, largest_mm), min(high_mm, largest_mm)
 
 
 def refocused_cameras(
@@ -186,7 +216,8 @@ def best_settings(
         Depth range, m.
     config : DesignConfig, optional
     focus_range_m, extent_range_mm : (float, float), optional
-        Ranges of the search; by default `default_focus_range_m` and `default_extent_range_mm`.
+        Ranges of the search; by default `default_focus_range_m` and `default_extent_range_mm`. No
+        mask is wider than what the pupil takes.
 
     Returns
     -------
@@ -211,11 +242,7 @@ def best_settings(
     config = config or DesignConfig()
     focus_range_m = focus_range_m or default_focus_range_m(camera, near_m, far_m)
     extent_range_mm = extent_range_mm or default_extent_range_mm(camera)
-    if not 0 < extent_range_mm[0] <= extent_range_mm[1] < math.inf:
-        raise InputError(
-            f"mask sizes {extent_range_mm[0]:g} to {extent_range_mm[1]:g} mm: expected two "
-            "increasing sizes of more than 0 mm"
-        )
+    extent_range_mm = extents_within_pupil(camera, extent_range_mm)
     found: dict[str, list[Setting]] = {"far": [], "near": []}
     for focused in refocused_cameras(camera, near_m, far_m, focus_range_m):
         # The largest allowed mask is the best at a focus: levels and blur both grow with its size.

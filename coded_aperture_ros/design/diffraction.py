@@ -2,6 +2,7 @@
 
 from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.pupil import wider_mask_advice
 
 # Diameter of the Airy disc to its first dark ring, in wavelengths times the f-number.
 AIRY_WIDTH = 2.44
@@ -43,6 +44,7 @@ def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
         f"mask {camera.mask.name}: the opening {first.width * extent_mm:.2g} mm wide, "
         f"{first.x * extent_mm:+.1f} mm right and {first.y * extent_mm:+.1f} mm below the middle"
         f"{others}, has an Airy disc of {airy_px:.1f} px ({camera.wavelength_nm:g} nm{f_number}), "
-        f"wider than its blur of {first.width * size:.1f} px: diffraction hides its shape; take a "
-        "larger mask_extent_mm, a mask with wider openings, or a focus farther from the scene"
+        f"wider than its blur of {first.width * size:.1f} px: diffraction hides its shape; take "
+        f"{wider_mask_advice(camera)}, a mask with wider openings, or a focus farther from the "
+        "scene"
     )

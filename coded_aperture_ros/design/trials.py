@@ -29,8 +29,9 @@ from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.metrics.edges import edge_distance_px
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics.pupil import largest_extent_mm
 from coded_aperture_ros.pipeline import FramePipeline
-from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.exposure import Exposure
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
 
 # Scenes to choose by, and unseen ones, to evaluate the choice.
@@ -44,44 +45,11 @@ _FIRST_SCENE = {CHOOSE: 3_000_000, UNSEEN: 3_500_000}
 _NEAR_EDGES_PX = 16
 # Relative error up to which depth is right.
 _RIGHT = 0.1
-# Photons on a square metre in a second, of white light of one lux.
-_PHOTONS_OF_LUX = 1e16
-# Share of the light that lenses let pass, and that sensors count.
-_LENS = 0.85
-_EFFICIENCY = 0.6
 # Points of the aperture along a side, or some more.
 _POINTS = 44
 # One pixel in so many, for medians over all scenes.
 _THINNED = 7
 _PUBLISHED = DepthConfig().confidence_threshold
-
-
-@dataclasses.dataclass(frozen=True)
-class Light:
-    """Illuminance, exposure and sensor."""
-
-    illuminance_lux: float
-    exposure_ms: float
-    full_well: float  # electrons
-    read_noise: float  # electrons
-
-    def electrons(self, camera: Camera) -> float:
-        """Electrons of a white surface in a pixel, at most a full well.
-
-        ``E t M^2 o / (pi f^2)`` for a Lambertian surface, with the focal length in pixels: a
-        pixel's area over the square of the focal length needs no pixel pitch.
-        """
-        area_m2 = camera.mask.open_fraction * (1e-3 * camera.mask_extent_mm) ** 2
-        passed = _LENS * self.illuminance_lux * area_m2 / (np.pi * camera.focal_length_px**2)
-        made = _EFFICIENCY * _PHOTONS_OF_LUX * passed * 1e-3 * self.exposure_ms
-        return float(min(made, self.full_well))
-
-    def exposed(self, light: FloatArray, camera: Camera, random: np.random.Generator) -> FloatArray:
-        """Frame, with shot and read noise, white at 1 and in 12 bits."""
-        white = self.electrons(camera)
-        counted = random.poisson(np.clip(light, 0, None) * white)
-        noise = random.normal(0, self.read_noise, counted.shape)
-        return SensorModel(bits=12).expose((counted + noise) / white, random)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,7 +59,7 @@ class Trial:
     camera: Camera
     range_m: tuple[float, float]
     levels: int
-    light: Light
+    light: Exposure
     part: str
     number: int
     cut_mm: float
@@ -146,7 +114,7 @@ def trials_of(
     masks: Sequence[Mask],
     range_m: tuple[float, float],
     levels: int,
-    light: Light,
+    light: Exposure,
     scenes: tuple[int, int],
     cut_mm: float,
 ) -> list[Trial]:
@@ -160,7 +128,7 @@ def trials_of(
         Of the scenes' depths.
     levels : int
         Of the banks.
-    light : Light
+    light : Exposure
     scenes : (int, int)
         How many to choose by, and how many others.
     cut_mm : float
@@ -180,7 +148,7 @@ def trials_of(
     camera = dataclasses.replace(
         camera, noise=0.0, noise_gain=0.0, field_curvature=None, diffraction=None
     )
-    cameras = [dataclasses.replace(camera, mask=mask) for mask in masks]
+    cameras = [_with_mask(camera, mask) for mask in masks]
     for one in cameras:
         guarded_range(one, *range_m, levels)
     return [
@@ -189,6 +157,12 @@ def trials_of(
         for part, count in zip(PARTS, scenes, strict=True)
         for number in range(count)
     ]
+
+
+def _with_mask(camera: Camera, mask: Mask) -> Camera:
+    """Camera with another mask of the same extent, or of the largest that the pupil takes."""
+    extent_mm = min(camera.mask_extent_mm, largest_extent_mm(mask, camera.pupil_mm))
+    return dataclasses.replace(camera, mask=mask, mask_extent_mm=extent_mm)
 
 
 def measure(trial: Trial) -> TrialResult:

@@ -16,16 +16,17 @@ from coded_aperture_ros.optics.diffraction import scatter_length_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics
 from coded_aperture_ros.optics.lens import (
-    LENS_AND_PIXEL,
-    NUMBERS,
     SIDE,
     check_depth_range,
     check_f_number,
     check_focus_distance,
+    check_mask_distance,
+    check_numbers,
     image_distance,
 )
 from coded_aperture_ros.optics.mask import Mask
 from coded_aperture_ros.optics.psf import psf_width
+from coded_aperture_ros.optics.pupil import check_pupil
 from coded_aperture_ros.optics.wavefront import Wavefront
 
 # Diffraction is left out where less of the light than this, as a share, lands more than a pixel
@@ -77,6 +78,8 @@ class Camera:
         Shift of the focus away from the middle of the image.
     wavefront : Wavefront, optional
         Aberrations: change of the PSF over the image.
+    lens_f_number : float, optional
+        F-number of the lens wide open; the mask has to fit into its entrance pupil.
 
     Raises
     ------
@@ -117,13 +120,11 @@ class Camera:
     diffraction: bool | None = None
     field_curvature: FieldCurvature | None = None
     wavefront: Wavefront | None = None
+    lens_f_number: float | None = None
 
     def __post_init__(self) -> None:
-        for name, (expected, described) in NUMBERS.items():
-            if name not in LENS_AND_PIXEL:
-                check_option(name, getattr(self, name), expected, described)
+        check_numbers(vars(self))
         if self.focal_length_mm is not None:
-            check_option("focal_length_mm", self.focal_length_mm, *NUMBERS["focal_length_mm"])
             check_focus_distance(self.focal_length_mm, self.focus_distance_m)
             check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, SIDE)
@@ -131,17 +132,10 @@ class Camera:
             raise InputError(f"diffraction: expected true or false, got {self.diffraction!r}")
         if not isinstance(self.mask, Mask):
             raise InputError(f"mask: expected a Mask, got {self.mask!r}")
-        size = self.image_width, self.image_height
-        if self.measured and (self.measured.image_width, self.measured.image_height) != size:
-            raise InputError(
-                f"camera_info: for images of {self.measured.image_width}x"
-                f"{self.measured.image_height}, this camera's have {size[0]}x{size[1]}"
-            )
-        if self._lens_mask_distance_m >= self.focus_distance_m:
-            raise InputError(
-                f"lens_mask_distance_mm: {self.lens_mask_distance_mm!r} puts the mask beyond the "
-                f"focal plane, use less than {self.focus_distance_m * 1e3:g} mm"
-            )
+        if self.measured is not None:
+            self.measured.check_size(self.image_width, self.image_height)
+        check_mask_distance(self.lens_mask_distance_mm, self.focus_distance_m)
+        check_pupil(self.focal_length_mm, self.lens_f_number, self.mask, self.mask_extent_mm)
 
     @staticmethod
     def from_lens(
@@ -151,9 +145,8 @@ class Camera:
 
         Raises `InputError` if a value is out of range, or the focus nearer than the focal length.
         """
-        check_option("focal_length_mm", focal_length_mm, *NUMBERS["focal_length_mm"])
-        check_option("pixel_pitch_um", pixel_pitch_um, *NUMBERS["pixel_pitch_um"])
-        check_option("focus_distance_m", focus_distance_m, *NUMBERS["focus_distance_m"])
+        given = {"focal_length_mm": focal_length_mm, "pixel_pitch_um": pixel_pitch_um}
+        check_numbers({**given, "focus_distance_m": focus_distance_m})
         check_focus_distance(focal_length_mm, focus_distance_m)
         distance_mm = image_distance(focal_length_mm, focus_distance_m * 1e3)
         return Camera(
@@ -191,6 +184,11 @@ class Camera:
     def f_number(self) -> float | None:
         """Focal length over mask extent; None if the focal length is unknown."""
         return self.focal_length_mm and self.focal_length_mm / self.mask_extent_mm
+
+    @property
+    def pupil_mm(self) -> float | None:
+        """Diameter of the lens's entrance pupil, mm; None if `lens_f_number` is not known."""
+        return self.lens_f_number and (self.focal_length_mm or 0.0) / self.lens_f_number
 
     @property
     def diffraction_px(self) -> float:

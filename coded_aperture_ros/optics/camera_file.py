@@ -12,12 +12,14 @@ from coded_aperture_ros.core.yaml_file import read_yaml
 from coded_aperture_ros.optics.camera import Camera
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import load_intrinsics
-from coded_aperture_ros.optics.lens import LENS_AND_PIXEL, NUMBERS
+from coded_aperture_ros.optics.lens import LENS_AND_PIXEL, NUMBERS, check_numbers
 from coded_aperture_ros.optics.mask import Mask
+from coded_aperture_ros.optics.sensor import Sensor
 from coded_aperture_ros.optics.wavefront import Wavefront
 
 _OPTIONAL = (
     "lens_mask_distance_mm",
+    "lens_f_number",
     "side",
     "camera_info",
     "noise",
@@ -26,8 +28,10 @@ _OPTIONAL = (
     "diffraction",
     "field_curvature",
     "wavefront",
+    "sensor",
+    "reference",
 )
-_KEYS = (*NUMBERS, "side", "mask", "camera_info", "diffraction", "field_curvature", "wavefront")
+_KEYS = (*NUMBERS, "side", "mask", "camera_info", "diffraction", *_OPTIONAL[-4:])
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
@@ -85,9 +89,10 @@ def camera_from_mapping(
     mapping : mapping
         `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
         `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`.
-        Optional: `lens_mask_distance_mm`, `side`, `noise`, `noise_gain`, `wavelength_nm`,
-        `diffraction`, `field_curvature` (two numbers), `wavefront`, and `camera_info`, the name of
-        a calibration file, see `load_intrinsics`.
+        Optional: `lens_mask_distance_mm`, `lens_f_number`, `side`, `noise`, `noise_gain`,
+        `wavelength_nm`, `diffraction`, `field_curvature` (two numbers), `wavefront`, `sensor` (see
+        `Sensor`), `reference`, and `camera_info`, the name of a calibration file, see
+        `load_intrinsics`.
     where : str, optional
         Name of the source, for messages.
     folder : str or path-like, optional
@@ -114,6 +119,9 @@ def camera_from_mapping(
     with naming(where):
         _check_keys(mapping)
         values = dict(mapping)
+        values.pop("reference", None)  # what a reference camera is known for, see `design`
+        if "sensor" in values:
+            _check_sensor(values.pop("sensor"), values)
         values["mask"] = _mask_from(values["mask"], Path(folder))
         if "field_curvature" in values:
             values["field_curvature"] = FieldCurvature.from_entry(values["field_curvature"])
@@ -127,6 +135,20 @@ def camera_from_mapping(
         if "focal_length_px" in values:
             return Camera(**values)
         return Camera.from_lens(**values)
+
+
+def load_sensor(path: str | os.PathLike[str]) -> Sensor | None:
+    """Sensor of a camera file; None if it does not describe one."""
+    with naming(f"camera file {path}"):
+        entries = read_yaml(path, "")
+        known = isinstance(entries, Mapping) and "sensor" in entries
+        return Sensor.from_entry(entries["sensor"]) if known else None
+
+
+def _check_sensor(entry: Any, values: Mapping[str, Any]) -> None:
+    numbers = {name: values.get(name) for name in ("image_width", "image_height", "pixel_pitch_um")}
+    check_numbers({name: value for name, value in numbers.items() if value is not None})
+    Sensor.from_entry(entry).check_frame(**numbers)
 
 
 def _check_keys(mapping: Any) -> None:

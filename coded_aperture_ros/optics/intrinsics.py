@@ -148,6 +148,14 @@ class Intrinsics:
         distorted = model.distortion_model, model.camera_matrix, model.distortion_coefficients
         return pixel_rays(*distorted, rows, columns)
 
+    def check_size(self, width: int, height: int) -> None:
+        """Raise `InputError` unless they are for images of a size, px."""
+        if (self.image_width, self.image_height) != (width, height):
+            raise InputError(
+                f"camera_info: for images of {self.image_width}x{self.image_height}, this "
+                f"camera's have {width}x{height}"
+            )
+
     def resized(self, width: int, height: int) -> "Intrinsics":
         """Model of the same view in another size; distortion acts on normalised coordinates."""
         return self._transformed(

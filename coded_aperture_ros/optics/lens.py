@@ -1,7 +1,10 @@
 """Values that a camera can have, and the thin lens between focus and image distance."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import Option
+from coded_aperture_ros.core.options import Option, check_option
 
 # Type, unit and range of every number of a camera file.
 NUMBERS: dict[str, tuple[type, Option]] = {
@@ -16,6 +19,7 @@ NUMBERS: dict[str, tuple[type, Option]] = {
         float,
         Option("How far the mask sits in front of the lens", "mm", -1_000, 1_000),
     ),
+    "lens_f_number": (float, Option("F-number of the lens wide open", "", 0.4, 200)),
     "wavelength_nm": (float, Option("Wavelength of the light", "nm", 200, 2_000)),
     "noise": (float, Option("Noise of one channel in the dark, linear light", "", 0, 0.5)),
     "noise_gain": (float, Option("Variance of shot noise per unit of light", "", 0, 0.1)),
@@ -23,6 +27,8 @@ NUMBERS: dict[str, tuple[type, Option]] = {
 SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near", "both"))
 # Together they stand for `focal_length_px`.
 LENS_AND_PIXEL = ("focal_length_mm", "pixel_pitch_um")
+# Not known of every camera.
+_MAY_BE_NONE = ("focal_length_mm", "lens_f_number")
 # No lens is faster or, with a mask in it, slower.
 _MIN_F_NUMBER = 0.4
 _MAX_F_NUMBER = 200.0
@@ -54,6 +60,13 @@ def image_distance(focal_length: float, focus_distance: float) -> float:
     return focal_length * focus_distance / (focus_distance - focal_length)
 
 
+def check_numbers(values: Mapping[str, Any]) -> None:
+    """Raise `InputError` with the first of some values by name that no camera can have."""
+    for name, value in values.items():
+        if name in NUMBERS and not (value is None and name in _MAY_BE_NONE):
+            check_option(name, value, *NUMBERS[name])
+
+
 def check_f_number(focal_length_mm: float, extent_mm: float) -> None:
     """Raise `InputError` unless focal length over mask extent is an f-number that lenses have."""
     f_number = focal_length_mm / extent_mm
@@ -71,6 +84,15 @@ def check_focus_distance(focal_length_mm: float, focus_distance_m: float) -> Non
         raise InputError(
             f"focus_distance_m: {focus_distance_m!r} is not beyond the focal length, "
             f"use more than {focal_length_mm * 1e-3:g} m"
+        )
+
+
+def check_mask_distance(lens_mask_distance_mm: float, focus_distance_m: float) -> None:
+    """Raise `InputError` unless the mask lies in front of the focal plane."""
+    if lens_mask_distance_mm * 1e-3 >= focus_distance_m:
+        raise InputError(
+            f"lens_mask_distance_mm: {lens_mask_distance_mm!r} puts the mask beyond the "
+            f"focal plane, use less than {focus_distance_m * 1e3:g} mm"
         )
 
 

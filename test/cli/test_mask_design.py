@@ -7,8 +7,8 @@ import pytest
 import yaml
 from cli_scene import call, wrong_usage
 
-from coded_aperture_ros.design.trials import Light
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.simulation.exposure import Exposure
 
 pytest.importorskip("numba")
 pytest.importorskip("skimage")
@@ -33,7 +33,7 @@ def camera_file(tmp_path):
 
 def test_light_by_hand():
     camera = Camera(1000.0, 0.45, 640, 480, Mask.from_rows(["1"]), 10.0)
-    light = Light(10.0, 1.0, 1e9, 0.0)
+    light = Exposure(10.0, 1.0, 1e9, 0.0)
     # An open square of 10 mm, 1 m before a white wall of 10 lux, which sends 10 / pi candela from
     # each square metre; a pixel sees a millimetre square of it.
     arriving = 10 / np.pi * 0.01**2 * 0.001**2  # lumen
@@ -42,7 +42,7 @@ def test_light_by_hand():
     frame = light.exposed(np.full((200, 200), 0.5, np.float32), camera, np.random.default_rng(0))
     assert frame.mean() == pytest.approx(0.5, rel=0.01)
     assert frame.std() == pytest.approx(np.sqrt(0.5 / electrons), rel=0.05)
-    assert Light(1e6, 1.0, 500.0, 0.0).electrons(camera) == 500
+    assert Exposure(1e6, 1.0, 500.0, 0.0).electrons(camera) == 500
 
 
 @pytest.mark.slow

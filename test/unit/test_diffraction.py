@@ -258,7 +258,7 @@ def test_commands_warn_of_openings_that_diffraction_hides(tmp_path, capsys, capl
             camera = camera_file(tmp_path, **lens)
             caplog.clear()
             assert call(capsys, *command, "--camera", camera, *options).status == 0
-            phrase = "diffraction hides its shape; take a larger mask_extent_mm"
+            phrase = "diffraction hides its shape; take a wider mask"
             assert any(phrase in message for message in caplog.messages) == warned
 
 

@@ -13,6 +13,7 @@ from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Camera, FieldCurvature, render_psf, render_psf_stack
+from coded_aperture_ros.optics.pupil import measured_beyond_pupil
 from coded_aperture_ros.pipeline import FramePipeline
 
 # Smallest blur on the axis, px: with less the corners may have none, or that of the other side of
@@ -109,6 +110,8 @@ def fit_field(camera: Camera, planes: Planes, progress: Progress = iter) -> Fiel
     scale, second, fourth = (float(value) for value in points.solve(everything))
     curvature = FieldCurvature(round(second / scale, 4), round(fourth / scale, 4))
     extent_mm = round(camera.mask_extent_mm * scale, 4)
+    if reason := measured_beyond_pupil(camera.mask, extent_mm, camera.pupil_mm):
+        raise InputError(reason)
     misplaced = np.abs(middle) > np.maximum(_MAX_DEPTH_ERROR, _MAX_ERROR_OVER_SCATTER * scatter)
     misplaced |= _off_the_line(camera, planes, used)
     return FieldFit(

@@ -14,6 +14,7 @@ from coded_aperture_ros.likelihood.bank.model import FilterBank, check_level_cou
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior
 from coded_aperture_ros.optics import Camera, PsfStack, render_psf_stack
+from coded_aperture_ros.optics.pupil import wider_mask_advice
 
 # Blur levels that a depth range is divided into, unless something else is asked for.
 DEFAULT_LEVEL_COUNT = 30
@@ -133,8 +134,8 @@ def check_depth_range(camera: Camera, near_m: float, far_m: float) -> None:
     raise InputError(
         f"depth range {near_m:g} to {far_m:g} m: its ends differ by {span_px:.2g} px of blur with "
         f"the focus at {camera.focus_distance_m:g} m, so no two depths can be told apart: check "
-        "the units (distances in m, mask_extent_mm in mm), or use a wider mask, a nearer focus, "
-        "or a longer lens"
+        f"the units (distances in m, mask_extent_mm in mm), or use {wider_mask_advice(camera)}, a "
+        "nearer focus, or a longer lens"
     )
 
 
