@@ -146,7 +146,9 @@ def load_sensor(path: str | os.PathLike[str]) -> Sensor | None:
 
 
 def _check_sensor(entry: Any, values: Mapping[str, Any]) -> None:
-    numbers = {name: values.get(name) for name in ("image_width", "image_height", "pixel_pitch_um")}
+    numbers: dict[str, Any] = {
+        name: values.get(name) for name in ("image_width", "image_height", "pixel_pitch_um")
+    }
     check_numbers({name: value for name, value in numbers.items() if value is not None})
     Sensor.from_entry(entry).check_frame(**numbers)
 
