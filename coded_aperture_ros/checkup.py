@@ -65,7 +65,8 @@ def _resolution(camera: Camera, setting: Setting, near_m: float, far_m: float) -
     state = OK
     if setting.levels < _FEW_LEVELS:
         state = FAILED if setting.levels < _MIN_LEVELS else WARNING
-    remedy = f"focus nearer to the scene, or use {wider_mask_advice(camera)}: see design"
+    wider = wider_mask_advice(camera.mask, camera.mask_extent_mm, camera.pupil_mm)
+    remedy = f"focus nearer to the scene, or use {wider}: see design"
     return Finding(
         "depth resolution",
         state,
@@ -85,10 +86,8 @@ def _blur(camera: Camera, setting: Setting) -> Finding:
     state = OK
     if not holes_px > _MIN_HOLE_BLUR_PX:
         state = FAILED if largest_px < _MIN_HOLE_BLUR_PX else WARNING
-    remedy = (
-        f"holes below half a pixel code nothing: use {wider_mask_advice(camera)}, or focus farther "
-        "from the scene"
-    )
+    wider = wider_mask_advice(camera.mask, camera.mask_extent_mm, camera.pupil_mm)
+    remedy = f"holes below half a pixel code nothing: use {wider}, or focus farther from the scene"
     return Finding(
         "blur",
         state,

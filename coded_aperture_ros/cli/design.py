@@ -123,11 +123,12 @@ def run(args: Arguments) -> int:
 
 def _warnings(args: Arguments, camera: Camera, setting: Setting) -> list[str]:
     warnings = []
+    wider = wider_mask_advice(camera.mask, camera.mask_extent_mm, camera.pupil_mm)
     if not setting.diffraction_is_negligible:
         warnings.append(
             f"{args.camera}: the smallest hole, {setting.hole_width_mm:.2f} mm, is below the "
             f"diffraction limit of {setting.diffraction_limit_mm:.2f} mm: its Airy disc is "
-            f"{setting.airy_width_px:.1f} px wide; take {wider_mask_advice(camera)}, or one with "
+            f"{setting.airy_width_px:.1f} px wide; take {wider}, or one with "
             "larger holes"
         )
     largest_mm = largest_extent_mm(camera.mask, camera.pupil_mm)

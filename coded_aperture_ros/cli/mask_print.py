@@ -138,6 +138,9 @@ def _warnings(
 ) -> list[str]:
     """Return what the mask is not good for."""
     warnings = []
+    wider = "a wider mask"
+    if camera is not None:
+        wider = wider_mask_advice(mask, camera.mask_extent_mm, camera.pupil_mm)
     if openings.loose_parts:
         warnings.append(f"mask {mask.name}: {loose_parts_note(openings.loose_parts)}")
     for what, width_mm in (("opening", hole_mm), ("bar between openings", bar_mm)):
@@ -145,7 +148,7 @@ def _warnings(
             warnings.append(
                 f"mask {mask.name}: the narrowest {what}, {width_mm:.2f} mm, is less than the "
                 f"{args.smallest_cut_mm:g} mm that can be cut: take "
-                f"{wider_mask_advice(camera) if camera else 'a wider mask'}, or have it printed on "
+                f"{wider}, or have it printed on "
                 "film"
             )
     if camera and (warning := diffraction_warning(camera, camera.blur_at_infinity_px)):

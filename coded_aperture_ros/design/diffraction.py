@@ -39,12 +39,13 @@ def diffraction_warning(camera: Camera, blur_size_px: float) -> str:
     extent_mm = camera.mask_extent_mm
     others = f" (and {len(hidden) - 1} of the {len(openings)} openings more)" if hidden[1:] else ""
     airy_px = airy_width_px(camera, first.width)
+    wider = wider_mask_advice(camera.mask, camera.mask_extent_mm, camera.pupil_mm)
     f_number = f", f/{camera.f_number:.1f}" if camera.f_number else ""
     return (
         f"mask {camera.mask.name}: the opening {first.width * extent_mm:.2g} mm wide, "
         f"{first.x * extent_mm:+.1f} mm right and {first.y * extent_mm:+.1f} mm below the middle"
         f"{others}, has an Airy disc of {airy_px:.1f} px ({camera.wavelength_nm:g} nm{f_number}), "
         f"wider than its blur of {first.width * size:.1f} px: diffraction hides its shape; take "
-        f"{wider_mask_advice(camera)}, a mask with wider openings, or a focus farther from the "
+        f"{wider}, a mask with wider openings, or a focus farther from the "
         "scene"
     )

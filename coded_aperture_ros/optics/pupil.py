@@ -7,15 +7,11 @@ beyond it: the limit of a mask depends on how far from its middle its open cells
 
 import functools
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics.mask import Mask
-
-if TYPE_CHECKING:
-    from coded_aperture_ros.optics.camera import Camera
 
 # F-numbers and focal lengths are engraved with two or three digits: a mask may be so much larger.
 _ROUNDING = 1.01
@@ -109,22 +105,19 @@ def check_pupil(
         raise InputError(f"mask_extent_mm: {reason}")
 
 
-def wider_mask_advice(camera: "Camera") -> str:
+def wider_mask_advice(mask: Mask, extent_mm: float, pupil_mm: float | None) -> str:
     """Words for a wider mask, with the limit of the pupil; for a faster lens at that limit.
 
     Examples
     --------
-    >>> from coded_aperture_ros.optics import Camera
     >>> levin = Mask.named("levin")
-    >>> wider_mask_advice(Camera(1000.0, 1.0, 640, 480, levin, 10.0))
+    >>> wider_mask_advice(levin, 10.0, None)
     'a wider mask'
-    >>> lens = {"focal_length_mm": 25.0, "lens_f_number": 1.4}
-    >>> wider_mask_advice(Camera(1000.0, 1.0, 640, 480, levin, 10.0, **lens))
+    >>> wider_mask_advice(levin, 10.0, 25 / 1.4)
     "a wider mask (the lens's pupil of 17.9 mm takes up to 15 mm)"
-    >>> wider_mask_advice(Camera(1000.0, 1.0, 640, 480, levin, 15.0, **lens))
+    >>> wider_mask_advice(levin, 15.0, 25 / 1.4)
     "a lens with a larger pupil (the mask fills this one's 17.9 mm)"
     """
-    mask, extent_mm, pupil_mm = camera.mask, camera.mask_extent_mm, camera.pupil_mm
     if pupil_mm is None:
         return "a wider mask"
     largest_mm = largest_extent_mm(mask, pupil_mm)

@@ -131,10 +131,11 @@ def check_depth_range(camera: Camera, near_m: float, far_m: float) -> None:
     span_px = float(np.ptp(camera.blur_range_px(near_m, far_m)))
     if span_px >= _MIN_SPAN_PX:
         return
+    wider = wider_mask_advice(camera.mask, camera.mask_extent_mm, camera.pupil_mm)
     raise InputError(
         f"depth range {near_m:g} to {far_m:g} m: its ends differ by {span_px:.2g} px of blur with "
         f"the focus at {camera.focus_distance_m:g} m, so no two depths can be told apart: check "
-        f"the units (distances in m, mask_extent_mm in mm), or use {wider_mask_advice(camera)}, a "
+        f"the units (distances in m, mask_extent_mm in mm), or use {wider}, a "
         "nearer focus, or a longer lens"
     )
 
