@@ -15,7 +15,8 @@ from coded_aperture_ros.likelihood import bounded_cost
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "temporal_frames"
-# Default of `temporal_frames` for nodes and bags, whose frames are those of a video.
+# Default of `temporal_frames` for nodes and bags, whose frames are those of a video: how fast past
+# frames fade. The network counts what is left of them half (`_PAST_WEIGHT` of its decoder).
 VIDEO_FRAMES = 4.0
 
 # Samples per patch distance at which frames are compared, and the largest shift in samples each
