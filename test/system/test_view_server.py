@@ -11,8 +11,8 @@ from collections import Counter
 from contextlib import suppress
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from small_camera import coded_wall
 from waiting import scaled
 
 pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
@@ -24,6 +24,7 @@ from live_viewer import BlockedSource, client, serving, viewer_options
 
 from coded_aperture_ros.bags import Bag
 from coded_aperture_ros.io import write_image
+from coded_aperture_ros.optics import load_camera
 
 NO_FRAME = "no frame has come yet"
 
@@ -483,13 +484,19 @@ def test_pages_share_settings_and_have_a_look_of_their_own(options):
 
 def test_a_look_is_made_of_a_paused_frame_too(options, tmp_path):
     """One that only the second page wants."""
-    write_image(tmp_path / "a.png", np.full((96, 128), 0.5, np.float32))
+    wall = coded_wall(load_camera(options().camera))
+    write_image(tmp_path / "a.png", wall)
 
     async def use(served):
         async with client(served) as one:
             await one.shown()
             async with client(served) as other:
                 await other.send({"set": {"look.picture": "refocused"}})
-                await other.shown(lambda head: head["settings"]["look.picture"] == "refocused")
+                await other.shown(
+                    lambda head: (
+                        head["settings"]["look.picture"] == "refocused"
+                        and "picture" in head["parts"]
+                    )
+                )
 
     run(use, options(source=str(tmp_path / "a.png")))
