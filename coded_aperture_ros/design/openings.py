@@ -113,7 +113,7 @@ def recut(mask: Mask, change: float) -> Mask:
     beyond the grid's edge. Raises `InputError` if an opening is gone, the change is too small to be
     drawn, or the mask has grey cells.
     """
-    cells = _cells_to_cut(mask)
+    cells = cells_to_cut(mask)
     fineness = _RECUT_CELLS * (1 if abs(change) >= _LARGE_CHANGE else 4)
     steps = -(-fineness // max(cells.shape))
     fine = np.kron(cells, np.ones((steps, steps), bool))
@@ -145,7 +145,7 @@ def mask_outlines(mask: Mask) -> list[Outline]:
     of a closed part within an opening. Raises `InputError` if the mask has grey cells, which cannot
     be cut.
     """
-    cells = _cells_to_cut(mask)
+    cells = cells_to_cut(mask)
     rows, columns = cells.shape
     extent = max(cells.shape)
     return [
@@ -154,7 +154,7 @@ def mask_outlines(mask: Mask) -> list[Outline]:
     ]
 
 
-def _cells_to_cut(mask: Mask) -> BoolArray:
+def cells_to_cut(mask: Mask) -> BoolArray:
     """Open cells; finer ones for masks with curved outlines."""
     if np.isin(mask.transmission, (0.0, 1.0)).all():
         return open_cells(mask)

@@ -347,7 +347,7 @@ def test_what_cannot_be_printed(tmp_path, capsys, monkeypatch, arguments, phrase
 @pytest.mark.parametrize(
     ("output", "phrase"),
     [
-        ("mask.png", "use a name that ends in .pdf or .svg or .dxf"),
+        ("mask.png", "use a name that ends in .pdf or .svg or .dxf or .stl"),
         ("folder.pdf", "it is a folder"),
         ("file/mask.pdf", "is not a folder"),
         ("/proc/mask.pdf", "cannot write /proc/mask.pdf"),
