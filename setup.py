@@ -113,6 +113,8 @@ setup(
             "hypothesis>=6.100",
             "argcomplete>=3",
             "ezdxf>=1.0",
+            # Checks printable holders.
+            "trimesh>=4",
             "ruff>=0.6",
             "mypy>=1.11",
             "pre-commit>=3.5",

@@ -55,7 +55,9 @@ _MASK = Actions(
 """,
     actions={
         "print": Entry(
-            "mask_print", "draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF)"
+            "mask_print",
+            "draw a mask at true scale, with a ruler and cut lines (PDF, SVG or DXF), or make a "
+            "holder of it (STL)",
         ),
         "score": Entry("mask_score", "predict depth and deblurring error of masks"),
         "search": Entry("mask_search", "look for masks with less depth and deblurring error"),

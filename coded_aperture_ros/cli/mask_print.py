@@ -18,12 +18,12 @@ from coded_aperture_ros.design.holder import (
     bridge_warning,
     holder_mesh,
     mask_holder,
-    shadow_warning,
 )
 from coded_aperture_ros.design.openings import narrowest_bar
 from coded_aperture_ros.design.sheet import Sheet, loose_parts_note, mask_sheet
 from coded_aperture_ros.design.sheet_files import sheet_dxf, sheet_pdf, sheet_svg
 from coded_aperture_ros.design.solid import stl
+from coded_aperture_ros.design.vignetting import front_mask_warning, shadow_warning
 from coded_aperture_ros.optics import Camera, Mask, load_camera, load_mask
 from coded_aperture_ros.optics.pupil import wider_mask_advice
 
@@ -155,6 +155,7 @@ def run(args: Arguments) -> int:
     if camera and drawing.holder:
         warnings.append(shadow_warning(drawing.holder, camera))
     if camera:
+        warnings.append(front_mask_warning(camera))
         warnings.append(diffraction_warning(camera, camera.blur_at_infinity_px))
     airy_px = (
         [round(airy_width_px(camera, one.width), 3) for one in openings.each] if camera else None

@@ -9,14 +9,10 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, IndexArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_options, option
-from coded_aperture_ros.design.openings import (
-    cells_to_cut,
-    mask_openings,
-    mask_outlines,
-    narrowest_bar,
-)
+from coded_aperture_ros.design.openings import cells_to_cut, mask_openings, narrowest_bar
 from coded_aperture_ros.design.solid import Mesh, Plan, circle, solid, triangles_between
-from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.optics import Mask
+from coded_aperture_ros.optics.pupil import openings_diameter
 
 # A line of plastic is as wide as the nozzle; a bar or ledge that holds, or an opening that stays
 # open, is two lines wide.
@@ -27,8 +23,6 @@ _FINENESS = 4
 _BRIDGE_STEPS = 4
 # Mark of the upper side: a notch as deep as this, or half of what it is in.
 _NOTCH_MM = 1.2
-# Of the narrowest opening, what a floor that has the openings may shade in the corners.
-_MAX_SHADOW = 0.25
 _LARGEST_MM = 200.0  # of the bed of a usual printer
 
 
@@ -129,7 +123,8 @@ def mask_holder(
             f"lens diameter: expected more than 0 and at most {_LARGEST_MM:g} mm, got {lens_mm:g}"
         )
     _check_walls(config)
-    held_mm = extent_mm * _held_diameter(mask, whole_grid=print_openings)
+    grid = math.hypot(*mask.transmission.shape) / max(mask.transmission.shape)
+    held_mm = extent_mm * (grid if print_openings else openings_diameter(mask))
     pocket_mm = lens_mm + config.fit_mm if cap else lens_mm - config.fit_mm - 2 * config.wall_mm
     room_mm = pocket_mm - config.margin_mm - 2 * _LINES * config.nozzle_mm
     if held_mm > room_mm:
@@ -162,42 +157,6 @@ def _check_walls(config: HolderConfig) -> None:
             )
 
 
-def shadow_mm(holder: Holder, camera: Camera) -> float:
-    """How far the floor shades an opening for the corners of the picture, mm.
-
-    The thickness of the floor times the tangent of half of the diagonal field of view.
-
-    Examples
-    --------
-    >>> levin = Mask.named("levin")
-    >>> camera = Camera(1000.0, 1.0, 640, 480, levin, 9.6)
-    >>> shadow_mm(mask_holder(levin, 9.6, 26.4), camera)
-    0.32
-    """
-    half_field = math.hypot(camera.image_width, camera.image_height) / 2 / camera.focal_length_px
-    return holder.floor_mm * half_field
-
-
-def shadow_warning(holder: Holder, camera: Camera) -> str:
-    """Warning if the floor shades the mask in the corners of the picture; empty if it does not."""
-    shadow = shadow_mm(holder, camera)
-    if holder.takes_piece:
-        openings_mm = camera.mask_extent_mm * _held_diameter(camera.mask, whole_grid=False)
-        if holder.opening_mm >= openings_mm + 2 * shadow:
-            return ""
-        return (
-            f"the floor of {holder.floor_mm:g} mm shades the mask in the corners of the picture: "
-            f"use --margin-mm {math.ceil(20 * shadow) / 10:g} or more"
-        )
-    hole_mm = camera.mask_extent_mm * mask_openings(camera.mask).smallest_width
-    if shadow <= _MAX_SHADOW * hole_mm:
-        return ""
-    return (
-        f"the floor of {holder.floor_mm:g} mm narrows openings of {hole_mm:.2f} mm by "
-        f"{shadow:.2f} mm in the corners of the picture: use a thinner one (--floor-mm)"
-    )
-
-
 def bridge_warning(mask: Mask, extent_mm: float, config: HolderConfig) -> str:
     """Warning of bridges in a printed mask, and of the light that they cost; empty without."""
     if not _touching(_printed_cells(mask, extent_mm, config.nozzle_mm)).any():
@@ -208,16 +167,6 @@ def bridge_warning(mask: Mask, extent_mm: float, config: HolderConfig) -> str:
         f"mask {mask.name}: bridges where openings touch at a corner close {100 * lost:.1f} % of "
         "what is open: learn the bank from pictures of planes, not from the camera file"
     )
-
-
-def _held_diameter(mask: Mask, *, whole_grid: bool) -> float:
-    """Diameter of the circle around the mask's middle that holds all openings, in extents.
-
-    That around the grid where the grid is drawn.
-    """
-    if whole_grid:
-        return math.hypot(*mask.transmission.shape) / max(mask.transmission.shape)
-    return 2 * max(math.hypot(x, y) for outline in mask_outlines(mask) for x, y in outline)
 
 
 def _check_printable(mask: Mask, extent_mm: float, line_mm: float) -> None:
@@ -258,8 +207,8 @@ def holder_mesh(
     --------
     >>> levin = Mask.named("levin")
     >>> mesh = holder_mesh(mask_holder(levin, 9.6, 26.4), levin, 9.6)
-    >>> np.ptp(mesh.vertices[:, 0]), mesh.vertices[:, 2].max()
-    (30.4, 3.8)
+    >>> np.ptp(mesh.vertices, axis=0).round(1).tolist()
+    [30.4, 30.4, 3.8]
     """
     line_mm = (config or HolderConfig()).nozzle_mm
     if holder.takes_piece:

@@ -48,7 +48,7 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     assert (tmp_path / "design" / "design.html").is_file()
 
     print_mask = examples(capsys, "mask") + examples(capsys, "mask print")
-    assert len(print_mask) == 5
+    assert len(print_mask) == 8
     for arguments in print_mask:
         type_in(arguments)
     assert (tmp_path / "mask.pdf").is_file()
