@@ -6,14 +6,18 @@ import re
 import secrets
 import shutil
 import socket
+import time
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
 # Suffix of a whole folder whose place another one takes.
 REPLACED = ".replaced"
-# Stem, host, process, and a number by chance; then the suffix.
-_NAME = re.compile(r"\.(.*)-([0-9a-f]{6})-p([0-9]+)-[0-9a-f]{8}(\.[^.]*)?")
+# Stem, host, space of process numbers, process, and a number by chance; then the suffix.
+_NAME = re.compile(r"\.(.*)-([0-9a-f]{6})-n([0-9]+)-p([0-9]+)-[0-9a-f]{8}(\.[^.]*)?")
+# Whether a process of another container lives cannot be seen. Nothing is written for so long
+# without a change to its file or folder.
+_UNTOUCHED_S = 24 * 3600
 _looked_through: set[tuple[int, int, int]] = set()
 
 
@@ -23,10 +27,10 @@ def temporary_name(stem: str, suffix: str = "") -> str:
     Examples
     --------
     >>> name = temporary_name("depth", ".npy")
-    >>> name.startswith(".depth-"), name.endswith(".npy"), _is_left(name)
+    >>> name.startswith(".depth-"), name.endswith(".npy"), _is_left(Path(name))
     (True, True, False)
     """
-    return f".{stem}-{_host()}-p{os.getpid()}-{secrets.token_hex(4)}{suffix}"
+    return f".{stem}-{_host()}-n{_numbers()}-p{os.getpid()}-{secrets.token_hex(4)}{suffix}"
 
 
 def remove_leftovers(folder: Path) -> None:
@@ -42,8 +46,9 @@ def remove_leftovers(folder: Path) -> None:
             return
         _looked_through.add(key)
         for entry in list(os.scandir(folder)):
-            if _is_left(entry.name):
-                _clear(Path(entry.path))
+            path = Path(entry.path)
+            if _is_left(path):
+                _clear(path)
 
 
 def _clear(left: Path) -> None:
@@ -54,19 +59,21 @@ def _clear(left: Path) -> None:
     with suppress(OSError):
         if left.is_symlink() or not left.is_dir():
             left.unlink()
-        elif match[4] == REPLACED and not os.path.lexists(named):
+        elif match[5] == REPLACED and not os.path.lexists(named):
             left.rename(named)
         else:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def _is_left(name: str) -> bool:
-    """Whether a name is that of a temporary file whose process has ended."""
-    match = _NAME.fullmatch(name)
+def _is_left(path: Path) -> bool:
+    """Whether a path is that of a temporary file whose process has ended."""
+    match = _NAME.fullmatch(path.name)
     if match is None or match[2] != _host():
         return False
     try:
-        os.kill(int(match[3]), 0)
+        if int(match[3]) != _numbers():
+            return time.time() - _last_changed(path) > _UNTOUCHED_S
+        os.kill(int(match[4]), 0)
     except ProcessLookupError:
         return True
     except (OSError, OverflowError):  # of another user, or no number of a process
@@ -74,7 +81,23 @@ def _is_left(name: str) -> bool:
     return False
 
 
+def _last_changed(path: Path) -> float:
+    """When a file, or a folder or something in it, was changed last, s since 1970."""
+    times = [path.lstat().st_mtime]
+    if path.is_dir() and not path.is_symlink():
+        times += [entry.lstat().st_mtime for entry in path.rglob("*")]
+    return max(times)
+
+
 @cache
 def _host() -> str:
-    # Processes of another machine, or of another container, have the same numbers.
+    # Processes of another machine have the same numbers.
     return hashlib.sha256(socket.gethostname().encode()).hexdigest()[:6]
+
+
+@cache
+def _numbers() -> int:
+    """Space of process numbers: each container has its own, while the host's name may be shared."""
+    with suppress(OSError):
+        return Path("/proc/self/ns/pid").stat().st_ino
+    return 0

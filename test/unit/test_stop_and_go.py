@@ -4,6 +4,8 @@ import os
 import pickle
 import subprocess
 import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -102,13 +104,32 @@ def test_what_killed_processes_left_is_removed(tmp_path):
     (bag / "data").write_bytes(b"half")
     living = left(tmp_path, "depth", ".npy", os.getppid())
     strange = tmp_path / ".depth-12345678.npy"
-    other_host = tmp_path / f".depth-000000-p{dead}-12345678.npy"
+    other_host = tmp_path / f".depth-000000-n1-p{dead}-12345678.npy"
     for path in (living, strange, other_host):
         path.write_bytes(b"kept")
     with atomic_output(tmp_path / "depth.npy") as temporary:
         temporary.write_bytes(b"whole")
     kept = {living.name, strange.name, other_host.name, "depth.npy"}
     assert {path.name for path in tmp_path.iterdir()} == kept
+
+
+def test_what_another_container_writes_is_left_alone_for_a_day(tmp_path):
+    """With the host's name and a number that no process has here, but its own process numbers."""
+    names = [left(tmp_path, stem, "", dead_process()) for stem in ("new", "old", "written", "file")]
+    here = Path("/proc/self/ns/pid").stat().st_ino
+    new, old, written, file = (
+        path.with_name(path.name.replace(f"-n{here}-", "-n4026531999-")) for path in names
+    )
+    day_ago = time.time() - 25 * 3600
+    for folder in (new, old, written):
+        folder.mkdir()
+        (folder / "data").write_bytes(b"half")
+    file.write_bytes(b"half")
+    for path in (old / "data", old, written, file):
+        os.utime(path, (day_ago, day_ago))
+    with atomic_output(tmp_path / "depth.npy") as temporary:
+        temporary.write_bytes(b"whole")
+    assert {path.name for path in tmp_path.iterdir()} == {new.name, written.name, "depth.npy"}
 
 
 def test_leftover_folders_are_removed_by_the_next_folder(tmp_path):
