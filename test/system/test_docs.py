@@ -167,6 +167,6 @@ def test_calibration_prints_what_its_document_shows(documents, tmp_path, monkeyp
     result = call(capsys, *shlex.split(command)[1:])
     assert (result.status, result.out.rstrip("\n")) == (0, shown), result.err
     printed = [line for line in commands_in(text) if line[:2] == ["mask", "print"]]
-    assert len(printed) == 2
+    assert len(printed) == 4
     for line in printed:
         assert call(capsys, *line).status == 0

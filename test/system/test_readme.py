@@ -3,20 +3,46 @@
 import re
 import shlex
 import subprocess
+import sys
 
 import pytest
 
 from coded_aperture_ros.cli.main import main
 
-# These take more than a minute; `test_cli_deblur` and `test_blind` run the like.
-_NOT_RUN = ("calibrate blind", "view", "deblur --bank bank.npz --depth moving.npy")
+# These take more than a minute, and `test_cli_deblur` and `test_blind` run the like; or they need
+# pictures of one's own.
+_NOT_RUN = (
+    "calibrate blind",
+    "view",
+    "deblur --bank bank.npz --depth moving.npy",
+    "calibrate planes planes_hq",
+    "check --camera hq.yaml --bank bank.npz",
+    "depth --bank bank.npz --gamma 2.2",
+)
 _FAILS = {"check --camera camera.yaml --bank bank.npz sharp.png": 1}
 
 
 def commands_of(text):
     """Return the command lines of our program, and those that edit a file, in indented blocks."""
     joined = text.replace("\\\n", " ")
-    return re.findall(r"^    (?:coded_aperture )?((?<=coded_aperture ).*|sed .*)$", joined, re.M)
+    own = r"(?<=coded_aperture ).*|sed .*|python3 -c .*"
+    return re.findall(rf"^    (?:coded_aperture )?({own})$", joined, re.M)
+
+
+def assert_printed(page, printed):
+    """Check that what a page shows of the output was printed, in order; numbers to a tenth."""
+    number = r"\d+(?:\.\d+)?"
+    lines = [" ".join(line.split()) for line in printed]
+    blocks = re.findall(r"^```text\n(.*?)^```", page, re.M | re.S)
+    for line in "".join(blocks).splitlines():
+        shown = " ".join(line.split())
+        pattern = f"({number})".join(map(re.escape, re.split(number, shown)))
+        while lines and not re.search(pattern, lines[0]):
+            del lines[0]
+        assert lines, f"not printed: {shown}"
+        found = map(float, re.search(pattern, lines[0]).groups())
+        expected = [float(one) for one in re.findall(number, shown)]
+        assert list(found) == pytest.approx(expected, rel=0.1, abs=0.011), shown
 
 
 @pytest.mark.parametrize(
@@ -25,19 +51,23 @@ def commands_of(text):
         ("README.md", 6),
         pytest.param("docs/start.md", 8, marks=pytest.mark.slow),
         pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
+        pytest.param("docs/webcam.md", 18, marks=pytest.mark.slow),
     ],
 )
 def test_the_commands_of_a_page_run_one_after_the_other(
-    checkout, tmp_path, monkeypatch, capsys, page, least
+    checkout, tmp_path, monkeypatch, capsys, caplog, page, least
 ):
     monkeypatch.chdir(tmp_path)
-    commands = commands_of((checkout / page).read_text())
+    text = (checkout / page).read_text()
+    commands = commands_of(text)
+    printed = []
     assert len(commands) >= least
     assert commands[0] == "sample"
     for command in commands:
         if command.startswith(_NOT_RUN):
             continue
-        if command.startswith("sed "):
+        if command.startswith(("sed ", "python3 ")):
+            command = command.replace("python3", sys.executable, 1)
             subprocess.run(command, shell=True, check=True)
             continue
         line = re.sub(r"\s+", " ", command)
@@ -45,6 +75,11 @@ def test_the_commands_of_a_page_run_one_after_the_other(
         assert status == _FAILS.get(line, 0), f"{line}: {capsys.readouterr().err}"
         if command == "sample":
             monkeypatch.chdir(tmp_path / "sample")
+            for described in re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S):
+                (tmp_path / "sample" / "hq.yaml").write_text(described)
+        printed += [*caplog.messages, *capsys.readouterr().out.splitlines()]
+        caplog.clear()
+    assert_printed(text, printed)
     if page != "docs/commands.md":
         return
     (example,) = re.findall(r"```python\n(.*?)```", (checkout / page).read_text(), re.DOTALL)

@@ -94,7 +94,7 @@ def test_a_printed_mask_is_closed_and_has_the_openings_of_the_mask(name, kind):
     assert bridges < (0.06 if name == "mura" else 0.02)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(8))
 def test_any_mask_of_cells_is_closed(seed):
     random = np.random.default_rng(seed)
     cells = random.random(random.integers(2, 9, 2)) < random.uniform(0.2, 0.6)
@@ -211,7 +211,7 @@ def test_finer_nozzles_print_smaller_masks():
 
 
 def test_fine_pictures_of_masks_make_small_files():
-    cells = np.kron(Mask.named("zhou").transmission, np.ones((80, 80), np.float32))
+    cells = np.kron(Mask.named("zhou").transmission, np.ones((25, 25), np.float32))
     _, mesh = loaded(Mask("fine.png", cells), EXTENT_MM, LENS_MM, print_openings=True)
     assert_printable(mesh)
     assert len(mesh.faces) < 120_000
