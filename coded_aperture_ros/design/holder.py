@@ -19,8 +19,6 @@ from coded_aperture_ros.optics.pupil import openings_diameter
 _LINES = 2
 # Curved openings are drawn in cells of this part of the nozzle.
 _FINENESS = 4
-# Half of the side of a bridge is drawn in so many cells.
-_BRIDGE_STEPS = 4
 # Mark of the upper side: a notch as deep as this, or half of what it is in.
 _NOTCH_MM = 1.2
 _LARGEST_MM = 200.0  # of the bed of a usual printer
@@ -161,8 +159,8 @@ def bridge_warning(mask: Mask, extent_mm: float, config: HolderConfig) -> str:
     """Warning of bridges in a printed mask, and of the light that they cost; empty without."""
     if not _touching(_printed_cells(mask, extent_mm, config.nozzle_mm)).any():
         return ""
-    closed = printable_cells(mask, extent_mm, config.nozzle_mm)
-    lost = 1 - (1 - closed.mean()) / mask.open_fraction
+    cells = printable_cells(mask, extent_mm, config.nozzle_mm)
+    lost = 1 - cells.open_fraction / mask.open_fraction
     return (
         f"mask {mask.name}: bridges where openings touch at a corner close {100 * lost:.1f} % of "
         "what is open: learn the bank from pictures of planes, not from the camera file"
@@ -215,8 +213,7 @@ def holder_mesh(
         plan = Plan(circle(holder.opening_mm), np.zeros((0, 3), np.intp), np.zeros(0))
         inner = np.arange(len(plan.points))
     else:
-        closed = printable_cells(mask, extent_mm, line_mm)
-        plan, inner = _grid_plan(closed, extent_mm / max(closed.shape), holder.floor_mm)
+        plan, inner = _grid_plan(printable_cells(mask, extent_mm, line_mm), holder.floor_mm)
     rings = [(holder.pocket_mm, holder.floor_mm), (holder.wall_mm, holder.height_mm)]
     if holder.outer_mm > holder.wall_mm:
         rings.append((holder.outer_mm, holder.floor_mm))
@@ -226,16 +223,35 @@ def holder_mesh(
     return solid(plan)
 
 
-def printable_cells(mask: Mask, extent_mm: float, line_mm: float) -> BoolArray:
-    """Closed cells [n, m] of a mask that is printed in one piece.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Cells:
+    """Closed cells of a printed mask, of any widths, around the middle."""
+
+    closed: BoolArray  # [n, m], as the mask is stored
+    x_mm: DoubleArray  # [m + 1], edges from the left
+    y_mm: DoubleArray  # [n + 1], edges from above, y up
+
+    @property
+    def open_fraction(self) -> float:
+        """Share of the grid that is open."""
+        areas = np.abs(np.outer(np.diff(self.y_mm), np.diff(self.x_mm)))
+        return float(areas[~self.closed].sum() / areas.sum())
+
+
+def printable_cells(mask: Mask, extent_mm: float, line_mm: float) -> Cells:
+    """Closed cells of a mask that is printed in one piece.
 
     Where openings touch at a corner, and closed parts with them, a bridge of two lines is left.
     Raises `InputError` if a closed part hangs on nothing.
     """
     closed = _printed_cells(mask, extent_mm, line_mm)
+    cell_mm = extent_mm / max(closed.shape)
     if _touching(closed).any():
-        closed = _bridged(closed, extent_mm / max(closed.shape), line_mm)
-    framed = np.pad(closed, 1, constant_values=True).astype(np.uint8)
+        cells = _bridged(closed, cell_mm, line_mm)
+    else:
+        rows, columns = closed.shape
+        cells = Cells(closed, _edges(columns, cell_mm), -_edges(rows, cell_mm))
+    framed = np.pad(cells.closed, 1, constant_values=True).astype(np.uint8)
     loose = cv2.connectedComponents(framed, connectivity=4)[0] - 2
     if loose:
         parts = "one closed part hangs" if loose == 1 else f"{loose} closed parts hang"
@@ -243,7 +259,11 @@ def printable_cells(mask: Mask, extent_mm: float, line_mm: float) -> BoolArray:
             f"a mask printed in one piece: {parts} on nothing: print the holder alone, for a mask "
             "on film, or leave bars in the mask"
         )
-    return closed
+    return cells
+
+
+def _edges(count: int, cell_mm: float) -> DoubleArray:
+    return np.asarray((np.arange(count + 1) - count / 2) * cell_mm, np.float64)
 
 
 def _printed_cells(mask: Mask, extent_mm: float, line_mm: float) -> BoolArray:
@@ -264,25 +284,33 @@ def _touching(closed: BoolArray) -> BoolArray:
     return np.asarray((first == fourth) & (second == third) & (first != second))
 
 
-def _bridged(closed: BoolArray, cell_mm: float, line_mm: float) -> BoolArray:
-    """Finer cells, with a closed square around each corner where openings touch."""
-    # The diagonal of the square is twice the width of a bridge of two lines.
+def _bridged(closed: BoolArray, cell_mm: float, line_mm: float) -> Cells:
+    """Cells with a closed square around each corner where openings touch."""
+    # The bridge is as wide as the diagonal of the square.
     half_mm = line_mm * _LINES / math.sqrt(2) / 2
-    steps = math.ceil(_BRIDGE_STEPS * cell_mm / half_mm)
-    reach = math.ceil(half_mm * steps / cell_mm)
-    fine = np.kron(closed, np.ones((steps, steps), bool))
-    for row, column in (np.argwhere(_touching(closed)) + 1) * steps:
-        fine[row - reach : row + reach, column - reach : column + reach] = True
-    return fine
+    corners = np.argwhere(_touching(closed)) + 1
+    if 2 * half_mm < cell_mm:
+        # Cells in three parts, the outer ones as wide as half of the square.
+        parts, reach = 3, 1
+        steps_mm = np.array([0.0, half_mm, cell_mm - half_mm])
+    else:
+        parts, reach = 1, math.ceil(half_mm / cell_mm)
+        steps_mm = np.zeros(1)
+    fine = np.kron(closed, np.ones((parts, parts), bool))
+    for row, column in corners * parts:
+        here = [slice(max(at - reach, 0), at + reach) for at in (row, column)]
+        fine[tuple(here)] = True
+    x_mm, y_mm = (
+        np.append((edges[:-1, None] + steps_mm).ravel(), edges[-1])
+        for edges in (_edges(count, cell_mm) for count in closed.shape[::-1])
+    )
+    return Cells(fine, x_mm, -y_mm)
 
 
-def _grid_plan(closed: BoolArray, cell_mm: float, floor_mm: float) -> tuple[Plan, IndexArray]:
+def _grid_plan(cells: Cells, floor_mm: float) -> tuple[Plan, IndexArray]:
     """Floor with openings, and the indices of the corners around its grid, anticlockwise."""
-    rows, columns = closed.shape
-    x = (np.arange(columns + 1) - columns / 2) * cell_mm
-    y = (rows / 2 - np.arange(rows + 1)) * cell_mm
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    index = np.arange(len(points)).reshape(rows + 1, columns + 1)
+    points = np.stack(np.meshgrid(cells.x_mm, cells.y_mm), axis=-1).reshape(-1, 2)
+    index = np.arange(len(points)).reshape(len(cells.y_mm), len(cells.x_mm))
     upper_left, upper_right = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     lower_left, lower_right = index[1:, :-1].ravel(), index[1:, 1:].ravel()
     triangles = np.concatenate(
@@ -291,7 +319,7 @@ def _grid_plan(closed: BoolArray, cell_mm: float, floor_mm: float) -> tuple[Plan
             np.stack([lower_left, upper_right, upper_left], axis=1),
         ]
     )
-    heights = np.tile(np.where(closed.ravel(), floor_mm, 0.0), 2)
+    heights = np.tile(np.where(cells.closed.ravel(), floor_mm, 0.0), 2)
     around = [index[-1, :-1], index[:0:-1, -1], index[0, :0:-1], index[:-1, 0]]
     return Plan(points, triangles, heights), np.concatenate(around)
 

@@ -153,16 +153,17 @@ def test_seen_from_the_lens_the_mask_is_as_stored_and_the_notch_is_up():
 def test_openings_that_touch_at_a_corner_are_apart_by_a_bridge_of_two_lines(nozzle_mm):
     cells = np.zeros((5, 5), bool)
     cells[1, 1] = cells[2, 2] = cells[3, 1] = True
-    closed = printable_cells(Mask("corner", cells.astype(np.float32)), 10.0, nozzle_mm)
-    per_mm = len(closed) / 10.0
-    # The ways past the corner at 4 mm, 4 mm, on the two diagonals.
-    row = column = round(4.0 * per_mm)
-    along = np.arange(-round(1.5 * per_mm), round(1.5 * per_mm))
-    across = closed[row + along, column + along]
-    width_mm = across.sum() / per_mm * 2**0.5
-    assert width_mm >= 2 * nozzle_mm
-    assert width_mm < 2 * nozzle_mm + 0.3
-    assert closed[row + along, column - 1 - along].all()
+    found = printable_cells(Mask("corner", cells.astype(np.float32)), 10.0, nozzle_mm)
+    # The ways past the corner 1 mm left of the middle and above it, on the two diagonals.
+    along_mm = np.linspace(-1.5, 1.5, 1501)
+
+    def is_closed(x_mm, y_mm):
+        rows = np.searchsorted(-found.y_mm, -y_mm) - 1
+        return found.closed[rows, np.searchsorted(found.x_mm, x_mm) - 1]
+
+    width_mm = is_closed(along_mm - 1, 1 - along_mm).mean() * 3 * 2**0.5
+    assert width_mm == pytest.approx(2 * nozzle_mm, abs=0.02)
+    assert is_closed(along_mm - 1, along_mm + 1).all()
 
 
 def test_a_middle_that_corners_hold_is_held_by_bridges():
@@ -211,11 +212,11 @@ def test_finer_nozzles_print_smaller_masks():
 
 
 def test_fine_pictures_of_masks_make_small_files():
-    cells = np.kron(Mask.named("zhou").transmission, np.ones((25, 25), np.float32))
+    cells = np.kron(Mask.named("levin").transmission, np.ones((25, 25), np.float32))
     _, mesh = loaded(Mask("fine.png", cells), EXTENT_MM, LENS_MM, print_openings=True)
     assert_printable(mesh)
-    assert len(mesh.faces) < 120_000
-    exact = loaded(Mask.named("zhou"), EXTENT_MM, LENS_MM, print_openings=True)[1]
+    assert len(mesh.faces) < 80_000
+    exact = loaded(Mask.named("levin"), EXTENT_MM, LENS_MM, print_openings=True)[1]
     assert mesh.volume == pytest.approx(exact.volume, rel=5e-3)
 
 
@@ -303,9 +304,8 @@ def test_bridges_are_told(tmp_path, capsys, caplog):
     (message,) = caplog.messages
     assert message.startswith("mask levin: bridges where openings touch at a corner close ")
     share = float(message.split("close ")[1].split(" %")[0])
-    grid = 1 - printable_cells(Mask.named("levin"), 12.0, 0.4).mean()
-    assert 0.5 < share < 5
-    assert share == pytest.approx(100 * (1 - grid / Mask.named("levin").open_fraction), abs=0.06)
+    # Four corners, and half of each square of 0.8 mm diagonal was open.
+    assert share == pytest.approx(100 * 4 * 0.16 / (43 / 121 * 144), abs=0.06)
 
 
 @pytest.mark.parametrize(
