@@ -2,9 +2,11 @@
 
 import dataclasses
 import functools
+from typing import Any
 
 import cv2
 import numpy as np
+import scipy.ndimage
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import BoolArray
@@ -88,22 +90,32 @@ def narrowest_bar(mask: Mask) -> float:
     """Smallest distance between two openings, as a share of the extent.
 
     Infinite with one opening. Openings that touch at a corner have no bar between them.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> narrowest_bar(Mask.from_rows(["1001", "0000", "0000", "0100"]))
+    0.5
     """
     framed = np.pad(open_cells(mask), 1).astype(np.uint8)
     count, labels = cv2.connectedComponents(framed, connectivity=4)
+    around = _around(labels)
+    corners = around.max(axis=0)
     narrowest = np.inf
     for label in range(1, count):
         # Corner points of the cells: the nearest ones of two openings are among them.
-        own, others = (_corners(cells) for cells in (labels == label, framed & (labels != label)))
-        away = cv2.distanceTransform(1 - own, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[others > 0]
-        narrowest = min(narrowest, away[away > 0].min(initial=np.inf))
+        own = _around((labels == label).astype(np.uint8)).max(axis=0)
+        away = cv2.distanceTransform(1 - own, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        nearest = scipy.ndimage.minimum(away, corners, np.arange(1, count))
+        touching = np.unique(around[:, own.astype(bool)])
+        nearest[touching[touching > 0] - 1] = np.inf
+        narrowest = min(narrowest, nearest.min())
     return float(narrowest / max(mask.transmission.shape))
 
 
-def _corners(cells: BoolArray) -> NDArray[np.uint8]:
-    """Corner points within the grid that belong to one of some cells."""
-    inside = np.asarray(cells, np.uint8)
-    return inside[:-1, :-1] | inside[1:, :-1] | inside[:-1, 1:] | inside[1:, 1:]
+def _around(cells: NDArray[Any]) -> NDArray[Any]:
+    """Values [4, n - 1, m - 1] of the four cells around each corner point within the grid."""
+    return np.stack([cells[:-1, :-1], cells[1:, :-1], cells[:-1, 1:], cells[1:, 1:]])
 
 
 def recut(mask: Mask, change: float) -> Mask:

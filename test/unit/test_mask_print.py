@@ -15,7 +15,7 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.design.openings import mask_outlines, recut
+from coded_aperture_ros.design.openings import mask_outlines, narrowest_bar, recut
 from coded_aperture_ros.design.sheet import mask_sheet
 from coded_aperture_ros.design.sheet_files import sheet_pdf, sheet_svg
 from coded_aperture_ros.optics import MASK_NAMES, Mask
@@ -64,6 +64,23 @@ def test_grey_masks_cannot_be_cut(tmp_path):
     grey = Mask("soft.png", np.tile(np.linspace(0, 1, 20, dtype=np.float32) ** 3, (20, 1)))
     with pytest.raises(InputError, match=r"mask soft.png: it has grey cells"):
         mask_outlines(grey)
+
+
+@pytest.mark.parametrize(
+    ("rows", "bar"),
+    [
+        (["1001", "0000", "0000", "0000"], 0.5),
+        (["1000", "0100", "0000", "0001"], 2**0.5 / 4),  # two touch, and have no bar
+        (["1000", "0100", "0000", "0000"], np.inf),
+        (["1100", "1100", "0000", "0001"], 2**0.5 / 4),
+        (["1111", "1111", "0000", "1111"], 0.25),
+    ],
+)
+def test_the_narrowest_bar_does_not_depend_on_how_finely_a_mask_is_stored(rows, bar):
+    mask = Mask.from_rows(rows)
+    fine = Mask("fine", np.kron(mask.transmission, np.ones((7, 7), np.float32)))
+    assert narrowest_bar(mask) == pytest.approx(bar)
+    assert narrowest_bar(fine) == pytest.approx(bar)
 
 
 def test_openings_cut_wider_and_narrower():
