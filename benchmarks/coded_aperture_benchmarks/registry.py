@@ -87,6 +87,7 @@ BENCHMARKS: dict[str, Group | Entry] = {
         "frames that fit their bank, and videos whose light changes", "suites.fitting"
     ),
     "datasheet": Entry("what the data sheet of a camera would say", "suites.datasheet"),
+    "cameras": Entry("ranges of the reference cameras, confirmed", "suites.cameras"),
     "lens": Entry("a real lens: before and after its field curvature is measured", "suites.lens"),
     "free-space": Entry(
         "a bound that what is seen is hardly ever nearer than, and what it costs",

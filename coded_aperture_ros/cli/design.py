@@ -8,9 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.cli.command import Command, argument, group
+from coded_aperture_ros.cli.design_for import Request, run_for
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
+from coded_aperture_ros.cli.rules import excludes, only_with, required
 from coded_aperture_ros.core.errors import naming
 from coded_aperture_ros.core.files import atomic_outputs, check_output
+from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.design import (
     DesignConfig,
     best_settings,
@@ -21,6 +24,7 @@ from coded_aperture_ros.design import (
     extents_within_pupil,
     mask_openings,
 )
+from coded_aperture_ros.design.choice import Wanted
 from coded_aperture_ros.design.figures import draw_design, has_matplotlib
 from coded_aperture_ros.design.page import finite, write_page
 from coded_aperture_ros.design.setting import Setting
@@ -28,6 +32,11 @@ from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.pupil import exceeds_pupil, largest_extent_mm, wider_mask_advice
 
 _EXAMPLES = """examples:
+  which camera for 0.6 to 1.5 m and 30 degrees, in an office, at 20 frames a second (a minute):
+    coded_aperture design --for 0.6 1.5 --view-deg 30 --lux 300 --rate-hz 20 --plot cameras.png
+  a camera of yours alone, the better of two masks, and a camera file with what was chosen:
+    coded_aperture design --for 6 28 config/example_camera.yaml --no-reference \\
+        --masks levin four_hole --output chosen
   the numbers of a camera, and the best focus distance and mask size:
     coded_aperture design --camera config/example_camera.yaml --depth-range 6 28
   with graphs (design.png), a page with sliders (design.html) and all curves (design.json):
@@ -50,12 +59,47 @@ _PICTURE = "design.png"
 class Arguments:
     """Arguments of `design`."""
 
-    camera: str = argument(
+    cameras: tuple[str, ...] = argument(
+        "camera files to compare with the reference cameras", (), written="CAMERA"
+    )
+    wanted: tuple[float, float] | None = argument(
+        "rank the reference cameras, and CAMERA, for a depth range in m, by simulated scenes",
+        None,
+        written="--for NEAR FAR",
+    )
+    view_deg: float = argument(
+        "least horizontal field of view", 0.0, written="--view-deg DEG", minimum=0, maximum=179
+    )
+    lux: float = argument(
+        "light on the scene: a dim room has 50, an office 300, a cloudy day 10,000",
+        300.0,
+        written="--lux E",
+        above=0,
+    )
+    rate_hz: float = argument("frames a second", 20.0, written="--rate-hz F", above=0)
+    masks: tuple[str, ...] = argument(
+        "names or files of masks to try in every camera (default: the camera file's)",
+        (),
+        written="--masks MASK",
+    )
+    no_reference: bool = argument("rank CAMERA alone", False, written="--no-reference")
+    plot: str | None = argument(
+        "figure of error and fill over distance (PNG)", None, written="--plot PNG", is_output=True
+    )
+    jobs: int = argument(
+        "processes (default: one for each processor)",
+        processors(),
+        written="--jobs N",
+        minimum=1,
+        daily=False,
+    )
+    camera: str | None = argument(
         "camera file, as config/example_camera.yaml, which explains every entry",
+        None,
         written="--camera YAML",
     )
-    depth_range: tuple[float, float] = argument(
-        "where the objects of interest are, in m", written="--depth-range NEAR FAR"
+    depth_range: tuple[float, float] | None = argument(
+        "where the objects of interest are, in m", None, written="--depth-range NEAR FAR"
     )
     focus_range: tuple[float, float] | None = argument(
         "focus distances to search and draw, in m (default: NEAR / 4 to 4 FAR)",
@@ -74,15 +118,45 @@ class Arguments:
     config: DesignConfig = group("what is asked of the design", DesignConfig())
 
 
+_RULES = (
+    required("--for", "--camera & --depth-range"),
+    excludes("--for", "--camera", "--depth-range", "--focus-range", "--mask-range"),
+    excludes("config.*", "--for", note="which has limits of its own"),
+    only_with("CAMERA", "--for"),
+    *(
+        only_with(name, "--for")
+        for name in ("--view-deg", "--lux", "--rate-hz", "--masks", "--no-reference", "--plot")
+    ),
+)
+
+
 def run(args: Arguments) -> int:
     """Print the numbers; return the exit status."""
-    near_m, far_m = args.depth_range
+    if args.wanted is not None:
+        wanted = Wanted(*args.wanted, args.view_deg, args.lux, args.rate_hz)
+        return run_for(
+            Request(
+                wanted,
+                args.cameras,
+                args.masks,
+                args.no_reference,
+                args.plot,
+                args.output,
+                args.jobs,
+                args.json,
+            )
+        )
+    assert args.camera is not None and args.depth_range is not None
+    return _run_one(args, args.camera, *args.depth_range)
+
+
+def _run_one(args: Arguments, camera_file: str, near_m: float, far_m: float) -> int:
     config = args.config
     if args.output is not None:
         results = (args.output / name for name in (_NUMBERS, _PAGE, _PICTURE))
-        check_output(results, input_files(camera=args.camera))
-    camera = load_camera(args.camera)
-    with naming(args.camera):
+        check_output(results, input_files(camera=camera_file))
+    camera = load_camera(camera_file)
+    with naming(camera_file):
         setting = design_setting(camera, near_m, far_m, config)
         focus_range_m = args.focus_range or default_focus_range_m(camera, near_m, far_m)
         extent_range_mm = extents_within_pupil(
@@ -92,7 +166,7 @@ def run(args: Arguments) -> int:
     openings = mask_openings(camera.mask)
     warnings = _warnings(args, camera, setting)
     summary = {
-        "camera": args.camera,
+        "camera": camera_file,
         "mask": camera.mask.name,
         "near_m": near_m,
         "far_m": far_m,
@@ -111,7 +185,7 @@ def run(args: Arguments) -> int:
         "output": None if args.output is None else str(args.output),
     }
     if args.output is not None:
-        with naming(args.camera):
+        with naming(camera_file):
             _write_files(args, args.output, camera, setting, best, summary)
     return print_summary(
         finite(summary),
@@ -152,7 +226,7 @@ def _write_files(
     summary: dict[str, Any],
 ) -> None:
     """Write all files of the output folder, or none."""
-    near_m, far_m = args.depth_range
+    near_m, far_m = summary["near_m"], summary["far_m"]
     ranges = summary["focus_range_m"], summary["mask_range_mm"]
     curves = design_curves(camera, near_m, far_m, args.config, args.focus_range)
     lists = {name: values.tolist() for name, values in vars(curves).items()}
@@ -240,8 +314,10 @@ def _size(setting: Setting) -> str:
 COMMAND = Command(
     Arguments,
     run,
-    description="Show how many depths a camera tells apart in a depth range, how finely, and "
+    description="Rank cameras for a range and some light (--for), by simulated scenes. Or show "
+    "how many depths a camera tells apart in a depth range, how finely, and "
     "what the mask costs in light and sharpness; and search for the focus distance and the "
     "mask size that tell most depths apart. Nothing is photographed for it.",
     examples=_EXAMPLES,
+    rules=_RULES,
 )

@@ -94,7 +94,7 @@ def _message(rule: Rule, settings: Mapping[str, Setting]) -> str:
 
 
 def _joined(conditions: Sequence[str], between: str = " or ") -> str:
-    return between.join(conditions).replace(" | ", " or ")
+    return between.join(conditions).replace(" | ", " or ").replace(" & ", " with ")
 
 
 def _holds(condition: str, settings: Mapping[str, Setting]) -> bool:

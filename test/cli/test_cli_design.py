@@ -156,8 +156,8 @@ def test_what_makes_no_sense_is_one_line(tmp_path, capsys, changes, arguments, p
 @pytest.mark.parametrize(
     ("arguments", "phrase"),
     [
-        (("--depth-range", 6, 28), "required: --camera"),
-        (("--camera", "c.yaml"), "required: --depth-range"),
+        (("--depth-range", 6, 28), "required: --for or --camera with --depth-range"),
+        (("--camera", "c.yaml"), "required: --for or --camera with --depth-range"),
         (("--camera", "c.yaml", "--depth-range", 6), "expected 2 arguments"),
         (("--camera", "c.yaml", "--depth-range", 6, "x"), "invalid float value: 'x'"),
         (
@@ -365,3 +365,80 @@ def test_a_mask_file_cannot_break_the_page(browser, page, tmp_path_factory):  # 
     html = browser.page_after_scripts(path.as_uri())
     assert "&lt;b&gt;&amp;amp; '\"’.png" in html
     assert values_of(html)[0]["levels"] == pytest.approx(4.9126, abs=1e-4)
+
+
+REFERENCE = "config/cameras/cmount_25mm_f1.4.yaml"
+
+
+def small_reference(checkout, folder, name="mine.yaml"):
+    """Camera file of a reference camera with small frames, which take less time."""
+    entries = yaml.safe_load((checkout / REFERENCE).read_text())
+    del entries["reference"]
+    path = folder / name
+    path.write_text(yaml.safe_dump(entries | {"image_width": 320, "image_height": 240}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        (("--for", 1, 2, "--camera", "c.yaml"), "--for: not with --camera"),
+        (("--for", 1, 2, "--mask-range", 1, 2), "--for: not with --mask-range"),
+        (("--for", 1, 2, "--resolution-px", 2), "--resolution-px: not with --for"),
+        (("--lux", 5, "--camera", "c.yaml", "--depth-range", 1, 2), "--lux: only with --for"),
+        (("c.yaml", "--camera", "c.yaml", "--depth-range", 1, 2), "CAMERA: only with --for"),
+        (("--for", 1), "expected 2 arguments"),
+        (("--for", 1, 2, "--rate-hz", 0), "--rate-hz"),
+        (("--for", 1, 2, "--view-deg", 200), "--view-deg"),
+    ],
+)
+def test_wrong_usage_of_the_choice(capsys, arguments, phrase):
+    wrong_usage(call(capsys, "design", *arguments), "design", phrase)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        (("--for", 2, 1), "expected two increasing distances"),
+        (("--for", 1, 2, "--no-reference"), "no camera to choose from"),
+        (("--for", 1, 2, "missing.yaml"), "missing.yaml"),
+        (("--for", 1, 2, "--masks", "levinn"), "did you mean levin?"),
+        (("--for", 0.001, 0.002), "not beyond the focal length"),
+        (("--for", 1, 2, "--plot", "figure.jpg"), ".png"),
+    ],
+)
+def test_what_cannot_be_chosen(tmp_path, capsys, monkeypatch, arguments, phrase):
+    monkeypatch.chdir(tmp_path)
+    result = call(capsys, "design", *arguments)
+    assert result.status == 1
+    assert phrase in result.err
+    assert "Traceback" not in result.err
+    assert everything(tmp_path) == {}
+
+
+def test_a_camera_file_is_not_overwritten_by_what_is_chosen(tmp_path, capsys, checkout):
+    path = small_reference(checkout, tmp_path)
+    before = path.read_text()
+    result = call(capsys, "design", "--for", 1, 2, path, "--no-reference", "-o", tmp_path)
+    assert result.status == 1
+    assert path.read_text() == before
+
+
+@pytest.mark.slow
+def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkout):
+    pytest.importorskip("matplotlib")
+    path = small_reference(checkout, tmp_path)
+    asked = ("--for", 1.5, 3.5, path, "--no-reference", "--jobs", 1, "--view-deg", 30)
+    files = ("--plot", tmp_path / "plot.png", "--output", tmp_path / "chosen", "--parents")
+    result = call(capsys, "design", *asked, *files)
+    assert (result.status, result.err) == (0, "")
+    assert re.search(r"mine +1.50 to 3.50 m ", result.out)
+    assert "field of view 9.9 of 30 degrees" in result.out  # small frames show less
+    assert cv2.imread(str(tmp_path / "plot.png")).shape[1] > 600
+    (row,) = json.loads((tmp_path / "chosen" / "design.json").read_text())["cameras"]
+    assert row["range_m"] == [1.5, 3.5]
+    assert row["error"] < 0.03
+    chosen = load_camera(tmp_path / "chosen" / "mine.yaml")
+    assert chosen.focus_distance_m == row["focus_distance_m"]
+    assert chosen.mask_extent_mm == pytest.approx(row["mask_extent_mm"], abs=0.01)
+    assert chosen.blur_range_px(1.5, 3.5)[1] <= 12.1
