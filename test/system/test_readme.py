@@ -51,13 +51,14 @@ def assert_printed(page, printed):
         ("README.md", 6),
         pytest.param("docs/start.md", 8, marks=pytest.mark.slow),
         pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
-        pytest.param("docs/webcam.md", 18, marks=pytest.mark.slow),
+        pytest.param("docs/webcam.md", 19, marks=pytest.mark.slow),
     ],
 )
 def test_the_commands_of_a_page_run_one_after_the_other(
     checkout, tmp_path, monkeypatch, capsys, caplog, page, least
 ):
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "config").symlink_to(checkout / "config")
     text = (checkout / page).read_text()
     commands = commands_of(text)
     printed = []
