@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
-from coded_aperture_ros.core.errors import InputError, naming
+from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.figures import save_figure
 from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.core.processes import map_in_processes
@@ -75,7 +75,7 @@ def run_for(request: Request) -> int:
             output(request.output / _NUMBERS).write_text(numbers + "\n", encoding="utf-8")
             for one in outcomes:
                 path = output(request.output / one.trial.offer.path.name)
-                path.write_text(_camera_text(one), encoding="utf-8")
+                path.write_text(_camera_text(one, request.masks), encoding="utf-8")
     return print_summary(summary, _text, as_json=request.as_json, warnings=warnings)
 
 
@@ -97,8 +97,7 @@ def _trials(request: Request, paths: Sequence[Path]) -> tuple[list[Trial], list[
     found: list[Trial] = []
     refused: list[str] = []
     for path in paths:
-        with naming(""):
-            offer = load_offer(path)
+        offer = load_offer(path)
         try:
             found += trials_for(offer, request.wanted, masks)
         except InputError as error:
@@ -108,12 +107,14 @@ def _trials(request: Request, paths: Sequence[Path]) -> tuple[list[Trial], list[
     return found, refused
 
 
-def _camera_text(outcome: Outcome) -> str:
-    """Camera file with the mask and the focus of an outcome."""
+def _camera_text(outcome: Outcome, masks: Sequence[str]) -> str:
+    """Camera file with the mask, of some names and files or its own, and the focus."""
     camera = outcome.trial.camera
     entries = camera_entries(outcome.trial.offer.path)
-    if camera.mask.name in MASK_NAMES:
-        entries["mask"] = {"name": camera.mask.name}
+    for name in masks:
+        if load_mask(name) == camera.mask:
+            known = name in MASK_NAMES
+            entries["mask"] = {"name": name} if known else {"file": str(Path(name).resolve())}
     entries |= {
         "mask_extent_mm": int(1e3 * camera.mask_extent_mm) / 1e3,
         "focus_distance_m": round(camera.focus_distance_m, 4),

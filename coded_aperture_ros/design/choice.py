@@ -242,9 +242,11 @@ def limits(outcome: Outcome) -> str:
     if change_px < 2 * _LEAST_CHANGE_PX:
         found.append(f"5 % of {far_m:.3g} m are {change_px:.2f} px of blur")
     if not found:
-        ratio = wanted.far_m / wanted.near_m
-        found.append(f"a range of 1 : {ratio:.2g} has blur from {sizes_px.min():.0f} to "
-                     f"{sizes_px.max():.0f} px")  # fmt: skip
+        ends = camera.blur_range_px(wanted.near_m, wanted.far_m)
+        found.append(
+            f"1 : {wanted.far_m / wanted.near_m:.2g} is a wide range for blur of {ends[0]:.0f} to "
+            f"{ends[1]:.0f} px: ask for a part of it"
+        )
     return "; ".join(found)
 
 

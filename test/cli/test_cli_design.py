@@ -16,7 +16,7 @@ from waiting import run_python
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.design import design_setting
-from coded_aperture_ros.optics import camera_from_mapping, load_camera
+from coded_aperture_ros.optics import Mask, camera_from_mapping, load_camera
 
 CONTRACT = {
     "levels", "blur_size_near_px", "blur_size_far_px", "hole_blur_near_px", "hole_blur_far_px",
@@ -428,7 +428,9 @@ def test_a_camera_file_is_not_overwritten_by_what_is_chosen(tmp_path, capsys, ch
 def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkout):
     pytest.importorskip("matplotlib")
     path = small_reference(checkout, tmp_path)
-    asked = ("--for", 1.5, 3.5, path, "--no-reference", "--jobs", 1, "--view-deg", 30)
+    np.save(tmp_path / "mask.npy", np.array(Mask.named("four_hole").transmission))
+    masks = ("--masks", tmp_path / "mask.npy")
+    asked = ("--for", 1.5, 3.5, path, "--no-reference", "--jobs", 1, "--view-deg", 30, *masks)
     files = ("--plot", tmp_path / "plot.png", "--output", tmp_path / "chosen", "--parents")
     result = call(capsys, "design", *asked, *files)
     assert (result.status, result.err) == (0, "")
@@ -439,6 +441,7 @@ def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkou
     assert row["range_m"] == [1.5, 3.5]
     assert row["error"] < 0.03
     chosen = load_camera(tmp_path / "chosen" / "mine.yaml")
+    assert (chosen.mask, chosen.mask.name) == (Mask.named("four_hole"), "mask.npy")
     assert chosen.focus_distance_m == row["focus_distance_m"]
     assert chosen.mask_extent_mm == pytest.approx(row["mask_extent_mm"], abs=0.01)
     assert chosen.blur_range_px(1.5, 3.5)[1] <= 12.1
