@@ -242,7 +242,7 @@ def limits(outcome: Outcome) -> str:
     if change_px < 2 * _LEAST_CHANGE_PX:
         found.append(f"5 % of {far_m:.3g} m are {change_px:.2f} px of blur")
     if not found:
-        ends = camera.blur_range_px(wanted.near_m, wanted.far_m)
+        ends = camera.blur_size_px([wanted.near_m, wanted.far_m])
         found.append(
             f"1 : {wanted.far_m / wanted.near_m:.2g} is a wide range for blur of {ends[0]:.0f} to "
             f"{ends[1]:.0f} px: ask for a part of it"
