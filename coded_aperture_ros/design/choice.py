@@ -14,6 +14,7 @@ from coded_aperture_ros.core.yaml_file import read_yaml
 from coded_aperture_ros.design.relief import (
     SCENE_PX,
     DistanceFigures,
+    flat_scene,
     measure_scenes,
     relief_scene,
     usable_range_m,
@@ -192,7 +193,9 @@ def measure(trial: Trial) -> Outcome:
     wanted = trial.wanted
     image = trial.camera.image_width, trial.camera.image_height
     size = min(SCENE_PX[0], image[0]), min(SCENE_PX[1], image[1])
-    scenes = [relief_scene(seed, size) for seed in range(_SCENES)]
+    # Objects at the very ends of a range are few in random scenes.
+    planes = [flat_scene(number, place, size) for number, place in enumerate((0.0, 1.0))]
+    scenes = [relief_scene(seed, size) for seed in range(_SCENES)] + planes
     exposure = wanted.exposure(trial.offer.sensor)
     figures = measure_scenes(trial.camera, (wanted.near_m, wanted.far_m), exposure, scenes)
     return Outcome(trial, tuple(figures))

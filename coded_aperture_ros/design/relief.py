@@ -103,6 +103,18 @@ def relief_scene(seed: int, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
     return ReliefScene(picture, np.clip(place, 0, 1).astype(np.float32))
 
 
+def flat_scene(seed: int, place: float, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
+    """Plane with a random texture at one place of a range.
+
+    Examples
+    --------
+    >>> float(flat_scene(0, 1.0).place.min())
+    1.0
+    """
+    picture = _surface(np.random.default_rng([59, seed]), size)
+    return ReliefScene(picture, np.full_like(picture, place))
+
+
 def _surface(random: np.random.Generator, size: tuple[int, int]) -> FloatArray:
     """Reflectance of a surface with a random texture."""
     whole = texture(int(random.integers(TEXTURED_COUNT))).astype(np.float32)
