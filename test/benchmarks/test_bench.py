@@ -579,3 +579,25 @@ def test_what_a_package_beside_needs_is_named(capsys, tmp_path, monkeypatch):
     result = call(capsys, "view")
     assert (result.status, result.err.count("\n")) == (1, 1)
     assert "view: needs no_such_library: 'pip install ./viewer'" in result.err
+
+
+def test_ranges_of_cameras_need_scenes_and_a_range(tmp_path, capsys, checkout):
+    camera = checkout / "config" / "cameras" / "cmount_25mm_f1.4.yaml"
+    result = call_benchmarks(capsys, "cameras", "--cameras", camera, "--scenes", tmp_path)
+    assert result.status == 1
+    assert "no folder in it has sharp_srgb.png and disparity.npz" in result.err
+    plain = checkout / "config" / "example_camera.yaml"
+    result = call_benchmarks(capsys, "cameras", "--cameras", plain)
+    assert result.status == 1
+    assert "states no range: use --depth-range" in result.err
+
+
+@pytest.mark.slow
+def test_the_range_of_a_camera_on_a_random_scene(capsys, checkout):
+    camera = checkout / "config" / "cameras" / "cmount_25mm_f1.4.yaml"
+    found = json_of_benchmarks(capsys, "cameras", "--cameras", camera, "--random", 1)
+    (row,) = found["rows"]
+    assert row["range_m"] == [1.55, 4.65]
+    assert len(row["distances"]) == 5
+    assert row["right"] > 0.8
+    assert row["fill"] > 0.7
