@@ -45,8 +45,7 @@ def remove_leftovers(folder: Path) -> None:
         if key in _looked_through:
             return
         _looked_through.add(key)
-        for entry in list(os.scandir(folder)):
-            path = Path(entry.path)
+        for path in list(folder.iterdir()):
             if _is_left(path):
                 _clear(path)
 
@@ -70,23 +69,15 @@ def _is_left(path: Path) -> bool:
     match = _NAME.fullmatch(path.name)
     if match is None or match[2] != _host():
         return False
-    try:
+    with suppress(PermissionError, OverflowError):  # of another user, or no number of a process
         if int(match[3]) != _numbers():
-            return time.time() - _last_changed(path) > _UNTOUCHED_S
-        os.kill(int(match[4]), 0)
-    except ProcessLookupError:
-        return True
-    except (OSError, OverflowError):  # of another user, or no number of a process
-        return False
+            changed = max(entry.lstat().st_mtime for entry in (path, *path.rglob("*")))
+            return time.time() - changed > _UNTOUCHED_S
+        try:
+            os.kill(int(match[4]), 0)
+        except ProcessLookupError:
+            return True
     return False
-
-
-def _last_changed(path: Path) -> float:
-    """When a file, or a folder or something in it, was changed last, s since 1970."""
-    times = [path.lstat().st_mtime]
-    if path.is_dir() and not path.is_symlink():
-        times += [entry.lstat().st_mtime for entry in path.rglob("*")]
-    return max(times)
 
 
 @cache

@@ -243,8 +243,7 @@ class FitCheck:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         health = _health_of(outputs)
         # What was enlarged is as smooth, too.
-        asks = not health.fits and health.cause != "scale"
-        if asks and is_as_smooth_as_depth(observation.grey):
+        if not health.fits and health.cause != "scale" and is_as_smooth_as_depth(observation.grey):
             health = dataclasses.replace(health, cause=DEPTH_MAP)
         self._outputs, self._health = outputs, health
         return self._health
