@@ -6,7 +6,7 @@ import subprocess
 import sys
 import zipfile
 import zlib
-from functools import partial
+from functools import cache, partial
 
 import bounded_program
 import hostile_files as hostile
@@ -119,6 +119,7 @@ CASES = {
 }  # fmt: skip
 
 
+@cache
 def _deflated():
     return zlib.compress(bytes(2**29), 9)
 
