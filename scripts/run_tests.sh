@@ -17,7 +17,9 @@ processes=${PROCESSES:-$(nproc)}
 files=()
 
 # 5 is pytest's word for "no tests": arguments may choose tests of one of the two kinds only.
-"$python" -m pytest -m "$chosen not serial" -n "$processes" --dist loadfile "$@"
+# In the order of their names: else files with few tests, which are long ones, would come last, on
+# one processor.
+"$python" -m pytest -m "$chosen not serial" -n "$processes" --dist loadfile --no-loadscope-reorder "$@"
 side_by_side=$?
 [[ $side_by_side == 0 || $side_by_side == 5 ]] || failed=1
 # Where no tests are named, look only where there are any of this kind: importing all takes longer.
