@@ -7,7 +7,6 @@ example:
 import argparse
 import copy
 import json
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -16,11 +15,13 @@ from typing import Any
 
 import numpy as np
 import torch
+from loop import Schedule
 from raw.cameras import random_camera
 from raw.network import LEVELS, AnyOptics, OneOptics
 from raw.planes import light_through
 from raw.samples import Sample, Sources, batches, lights, load_photographs, sample
 from raw.scenes import Slices, load_slices
+from refinement_loss import APART_PX, dilated
 from torch import nn
 from torch.nn import functional
 
@@ -32,11 +33,8 @@ _RATES = {"any": 2e-3, "one": 2e-3}
 _WARM_STEPS = 100
 _AVERAGE = 0.998
 _REPORT_S = 30
-# Narrow things before something more or less blurred by so much count more. They fit into a
-# square of this side, in squares of 2 px.
+# Narrow things before something more or less blurred count more.
 _MORE_FOR_NARROW = 3.0
-_APART_PX = 1.0
-_NARROW = 13
 
 
 class Member:
@@ -47,14 +45,13 @@ class Member:
         self.run: Callable[..., torch.Tensor] = network
         self.average = copy.deepcopy(network).eval()
         self.optimizer = torch.optim.AdamW(network.parameters(), lr=rate, weight_decay=1e-2)
-        self.rate = rate
+        self.schedule = Schedule(0, rate, _WARM_STEPS, 1e-2, average=_AVERAGE)
         self.steps = 0
 
     def improve(self, loss: torch.Tensor, progress: float) -> None:
         """Take a step against the gradient."""
-        warm = min(1.0, (self.steps + 1) / _WARM_STEPS)
         for group in self.optimizer.param_groups:
-            group["lr"] = self.rate * warm * (0.5 + 0.5 * math.cos(math.pi * progress)) + 1e-6
+            group["lr"] = self.schedule.rate_at(self.steps, progress)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.network.parameters(), 2.0)
@@ -108,13 +105,8 @@ def blur_sizes(logits: torch.Tensor, sizes_px: torch.Tensor) -> torch.Tensor:
 def _narrow(truth: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> torch.Tensor:
     """Where something narrow is before something more distant."""
     away = (truth * (1 - 2 * near[:, None, None])).masked_fill(~known, -30.0)[:, None]
-
-    def dilated(values: torch.Tensor) -> torch.Tensor:
-        down = functional.max_pool2d(values, (_NARROW, 1), 1, (_NARROW // 2, 0))
-        return functional.max_pool2d(down, (1, _NARROW), 1, (0, _NARROW // 2))
-
     closed = -dilated(-dilated(away))
-    return (closed - away > _APART_PX)[:, 0].float()
+    return (closed - away > APART_PX)[:, 0].float()
 
 
 def _logits(

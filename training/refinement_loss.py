@@ -19,7 +19,7 @@ _RIGHT_PX = 1.5
 # is right for most pixels would leave them out, and they are what a robot runs into. The side of
 # what they fit into, in squares of 2 px.
 _MORE_FOR_NARROW = 4.0
-_APART_PX = 1.0
+APART_PX = 1.0
 _NARROW = 13
 
 Outputs = tuple[torch.Tensor, torch.Tensor]
@@ -64,11 +64,12 @@ def narrow(blur_px: torch.Tensor, known: torch.Tensor, near: torch.Tensor) -> to
     """
     away = functional.pixel_shuffle(blur_px * (1 - 2 * near.view(-1, 1, 1, 1)), 2)
     known = functional.pixel_shuffle(known.float(), 2) > 0
-    closed = -_dilated(-_dilated(away.masked_fill(~known, -LARGEST_PX)))
-    return functional.pixel_unshuffle((closed - away > _APART_PX).float(), 2)
+    closed = -dilated(-dilated(away.masked_fill(~known, -LARGEST_PX)))
+    return functional.pixel_unshuffle((closed - away > APART_PX).float(), 2)
 
 
-def _dilated(values: torch.Tensor) -> torch.Tensor:
+def dilated(values: torch.Tensor) -> torch.Tensor:
+    """Largest value of the squares around, as wide as what is narrow [batch, n, rows, columns]."""
     down = functional.max_pool2d(values, (_NARROW, 1), 1, (_NARROW // 2, 0))
     return functional.max_pool2d(down, (1, _NARROW), 1, (0, _NARROW // 2))
 

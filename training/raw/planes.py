@@ -8,13 +8,12 @@ blur size ``S`` is linear on a plane.
 import dataclasses
 from collections.abc import Callable
 
-import numpy as np
 import torch
 from torch.nn import functional
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.optics import Mask
-from coded_aperture_ros.optics.psf import cell_shares
+from coded_aperture_ros.simulation.layered.tracing import lens_samples
 
 # Around a frame planes are drawn this much further: half of the widest blur.
 MARGIN_PX = 13
@@ -57,21 +56,7 @@ def aperture_samples(mask: Mask, widest_px: float) -> FloatArray:
 
     They are so many that blur of the width has no gaps.
     """
-    grid = mask.transmission.astype(np.float64)
-    cells = max(grid.shape)
-    wanted = int(np.ceil(widest_px / _SAMPLE_PX))
-    if cells > max(wanted, _FEWEST_CELLS):
-        wanted = max(wanted, _FEWEST_CELLS)
-        down, across = (cell_shares(wanted, length, wanted / cells) for length in grid.shape)
-        grid = down @ grid @ across.T
-    else:
-        grid = np.kron(grid, np.ones((max(-(-wanted // cells), 1),) * 2))
-    rows, columns = np.nonzero(grid > 1e-6)
-    side = max(grid.shape)
-    down = (rows + 0.5 - grid.shape[0] / 2) / side
-    right = (columns + 0.5 - grid.shape[1] / 2) / side
-    weights = grid[rows, columns] / grid.sum()
-    return np.column_stack([down, right, weights]).astype(np.float32)
+    return lens_samples(mask, widest_px, _FEWEST_CELLS, _SAMPLE_PX)
 
 
 def _frame_places(planes: Planes) -> tuple[torch.Tensor, torch.Tensor]:

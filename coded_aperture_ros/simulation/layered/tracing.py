@@ -47,14 +47,17 @@ class Layer:
     relief_px: FloatArray | None = None
 
 
-def lens_samples(mask: Mask, widest_px: float, fewest_cells: int = FEWEST_CELLS) -> FloatArray:
+def lens_samples(
+    mask: Mask, widest_px: float, fewest_cells: int = FEWEST_CELLS, sample_px: float = _SAMPLE_PX
+) -> FloatArray:
     """Return points of the aperture and their weights [n, 3]: down, right, share of the light.
 
     In units of the mask's extent, from its middle; so many that blur of a width has no gaps. A mask
-    of more cells is averaged over no fewer than `fewest_cells` along a side.
+    of more cells is averaged over no fewer than `fewest_cells` along a side. Samples lie at most
+    `sample_px` apart in the image.
     """
     cells = max(mask.transmission.shape)
-    wanted = int(np.ceil(widest_px / _SAMPLE_PX))
+    wanted = int(np.ceil(widest_px / sample_px))
     grid: NDArray[np.floating] = mask.transmission.astype(np.float64)
     if cells > max(wanted, fewest_cells):  # finer than the sensor sees
         wanted = max(wanted, fewest_cells)
