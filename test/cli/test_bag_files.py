@@ -34,7 +34,7 @@ from cli_scene import call, everything
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from rosbags.rosbag2 import CompressionMode
-from waiting import output_of, run_python, wait_until
+from waiting import matching, output_of, run_python, wait_until
 
 from coded_aperture_ros.bags import Bag, bag_output, is_bag
 from coded_aperture_ros.bags.engine import in_order
@@ -488,7 +488,7 @@ def test_nothing_stays_of_a_program_or_a_worker_that_is_ended(scene, recorded, t
     )
     try:
         # It has begun to write.
-        assert wait_until(lambda: list(tmp_path.glob(".out-*/out/*")))
+        assert wait_until(lambda: matching(tmp_path, ".out-*/out/*"))
         workers = worker_processes(program.pid)
         assert len(workers) == processors()
         if how == "program":

@@ -12,7 +12,7 @@ from urllib.parse import unquote_to_bytes, urljoin, urlsplit
 import pytest
 from bag_scene import read, recording, worker_processes, write_bag
 from cli_scene import call, everything, examples, refused
-from waiting import output_of, scaled, wait_until
+from waiting import matching, output_of, scaled, wait_until
 
 from coded_aperture_ros.bags.many import Job, plan_jobs, write_summary
 from coded_aperture_ros.core.workers import processors
@@ -199,7 +199,7 @@ def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
                 scene, tmp_path / "in", tmp_path / "out", "--scheduler", address, names=["long"]
             )
             asked = subprocess.Popen([*program, *map(str, line)], env=environment, **quiet)
-            wait_until(lambda: list((tmp_path / "out").glob(".long-*")), 60)
+            wait_until(lambda: matching(tmp_path / "out", ".long-*"), 60)
             workers[0].kill()
             workers.append(subprocess.Popen(worker, env=environment, **quiet))
             assert asked.wait(scaled(120)) == 0
@@ -221,7 +221,7 @@ def test_a_worker_that_is_killed_costs_no_bag(scene, tmp_path):
     program = [sys.executable, "-m", "coded_aperture_ros", *map(str, line)]
     asked = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     try:
-        assert wait_until(lambda: list((tmp_path / "out").glob(".*/*")))
+        assert wait_until(lambda: matching(tmp_path / "out", ".*/*"))
         os.kill(min(worker_processes(asked.pid)), signal.SIGKILL)
         _, said = output_of(asked)
     finally:

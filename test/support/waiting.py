@@ -4,6 +4,7 @@ A limit is written in seconds of an idle machine like the one that CI has. A slo
 one that has more to do than it has processors, gets as much more time.
 """
 
+import glob
 import os
 import subprocess
 import sys
@@ -56,6 +57,14 @@ def wait_until(condition, timeout_s=30.0, every_s=0.01):
             break
         time.sleep(every_s)
     return value
+
+
+def matching(folder, pattern):
+    """Return what a pattern finds in a folder in which another program adds and removes folders.
+
+    `Path.glob` of Python before 3.13 raises where a folder goes away while it is read.
+    """
+    return glob.glob(str(folder / pattern))
 
 
 def stays_false(condition, seconds):
