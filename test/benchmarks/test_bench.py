@@ -23,7 +23,7 @@ from cli_scene import (
 )
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, recorded
 from coded_aperture_benchmarks.datasets.misfits import LIGHT, MISFITS
-from coded_aperture_benchmarks.suites import datasheet, fitting, lens, pictures, trust
+from coded_aperture_benchmarks.suites import fitting, lens, pictures, trust
 from coded_aperture_benchmarks.thesis.reference import REFERENCE_METHODS
 from coded_aperture_benchmarks.thesis.suites.stair import lost_cells
 from waiting import output_of, run_program, run_python, wait_until
@@ -263,27 +263,6 @@ def test_pictures_are_seen_by_many_cameras(capsys, tmp_path):
         assert row["fits"] and row["picture"] == "motorcycle"
         assert row["right_confident"] > 0.85 and row["coverage"] > 0.7
     assert "motorcycle" in pictures.SUITE.text({"cells": rows})
-
-
-@pytest.mark.slow
-def test_a_camera_gets_its_data_sheet(capsys, tmp_path):
-    path = tmp_path / "camera.yaml"
-    path.write_text(
-        "focal_length_px: 300\nfocus_distance_m: 1.0\nimage_width: 160\nimage_height: 120\n"
-        "side: far\nmask: {name: levin}\nmask_extent_mm: 60\n"
-    )
-    arguments = ("datasheet", "--camera", path, "--pictures", 1, "--depth-range")
-    sheet = json_of_benchmarks(capsys, *arguments, 1.5, 3.0)
-    across, down = sheet["field_of_view_deg"]
-    assert across == pytest.approx(2 * np.degrees(np.arctan(80 / 300)), abs=0.1)
-    assert down == pytest.approx(2 * np.degrees(np.arctan(60 / 300)), abs=0.1)
-    depths = [row["depth_m"] for row in sheet["rows"]]
-    assert (len(depths), depths[0], depths[-1]) == (8, 1.5, 3.0)
-    inner = sheet["rows"][2:6]
-    assert all(row["fill"] > 0.5 and abs(row["bias"]) < 0.1 for row in inner)
-    assert all(0 < row["temporal"] < row["rms"] for row in inner)
-    assert "fill rate" in datasheet.SUITE.text(sheet)
-    assert call_benchmarks(capsys, *arguments, 3.0, 1.5).status == 2
 
 
 def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):

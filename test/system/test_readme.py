@@ -29,6 +29,14 @@ def commands_of(text):
     return re.findall(rf"^    (?:coded_aperture )?({own})$", joined, re.M)
 
 
+def write_described(page, folder):
+    """Write the files that a page shows after the words "as `NAME`"."""
+    for name, described in re.findall(
+        r"as `(\w+\.yaml)`(?:(?!```).)*?^```yaml\n(.*?)^```", page, re.M | re.S
+    ):
+        (folder / name).write_text(described)
+
+
 def assert_printed(page, printed):
     """Check that what a page shows of the output was printed, in order; numbers to a tenth."""
     number = r"\d+(?:\.\d+)?"
@@ -52,6 +60,7 @@ def assert_printed(page, printed):
         pytest.param("docs/start.md", 8, marks=pytest.mark.slow),
         pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
         pytest.param("docs/webcam.md", 19, marks=pytest.mark.slow),
+        pytest.param("docs/will_it_work.md", 2, marks=pytest.mark.slow),
     ],
 )
 def test_the_commands_of_a_page_run_one_after_the_other(
@@ -63,7 +72,8 @@ def test_the_commands_of_a_page_run_one_after_the_other(
     commands = commands_of(text)
     printed = []
     assert len(commands) >= least
-    assert commands[0] == "sample"
+    assert commands[0] == "sample" or page == "docs/will_it_work.md"
+    write_described(text, tmp_path)
     for command in commands:
         if command.startswith(_NOT_RUN):
             continue
@@ -76,8 +86,7 @@ def test_the_commands_of_a_page_run_one_after_the_other(
         assert status == _FAILS.get(line, 0), f"{line}: {capsys.readouterr().err}"
         if command == "sample":
             monkeypatch.chdir(tmp_path / "sample")
-            for described in re.findall(r"^```yaml\n(.*?)^```", text, re.M | re.S):
-                (tmp_path / "sample" / "hq.yaml").write_text(described)
+            write_described(text, tmp_path / "sample")
         printed += [*caplog.messages, *capsys.readouterr().out.splitlines()]
         caplog.clear()
     assert_printed(text, printed)

@@ -7,23 +7,20 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.datasets.relief_photographs import folders_in, photographed_scene
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.design.choice import Wanted, light_lost_stops, load_offer, reference_files
 from coded_aperture_ros.design.relief import ReliefScene, measure_scenes, relief_scene
-from coded_aperture_ros.io import read_image
 
 # Both ends, and three distances between.
 _DISTANCES = 5
-_LARGEST_PX = (448, 368)
 # `design` has the first ones.
 _FIRST_SEED = 1000
 _KINDS = ("planes", "photographs", "random")
 # Of the pictures, one in so many is put on planes: each of them at every distance.
 _ON_PLANES = 3
-# Disparities beyond these quantiles are cut off: few pixels would shrink the relief of all others.
-_ENDS = (0.01, 0.99)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Cell:
 def _cells(args: argparse.Namespace) -> list[Cell]:
     paths = args.cameras or reference_files()
     folder = args.scenes
-    if folder is not None and not _folders(folder):
+    if folder is not None and not folders_in(folder):
         raise InputError(f"{folder}: no folder in it has sharp_srgb.png and disparity.npz")
     kinds = _KINDS if folder is not None else ("random",)
     return [
@@ -59,27 +56,10 @@ def _wanted(args: argparse.Namespace, path: Path) -> Wanted:
     return Wanted(near_m, far_m, illuminance_lux=args.illuminance, rate_hz=args.rate)
 
 
-def _folders(folder: Path) -> list[Path]:
-    return sorted(path.parent for path in folder.glob("*/disparity.npz"))
-
-
-def photographed_scene(folder: Path, largest_px: tuple[int, int] = _LARGEST_PX) -> ReliefScene:
-    """Middle of a photograph with measured disparity; places go with the disparity."""
-    picture = read_image(folder / "sharp_srgb.png", "srgb").mean(axis=2)
-    with np.load(folder / "disparity.npz") as stored:
-        disparity = stored["disparity"].astype(np.float32)
-    height, width = disparity.shape
-    top, left = max(0, height - largest_px[1]) // 2, max(0, width - largest_px[0]) // 2
-    cut = slice(top, top + largest_px[1]), slice(left, left + largest_px[0])
-    low, high = np.nanquantile(disparity[cut], _ENDS)
-    place = 1 - np.clip((disparity[cut] - low) / (high - low), 0, 1)
-    return ReliefScene(picture[cut].astype(np.float32), place.astype(np.float32))
-
-
 def _scenes(cell: Cell) -> list[ReliefScene]:
     if cell.kind == "random" or cell.scenes is None:
         return [relief_scene(_FIRST_SEED + number) for number in range(cell.random)]
-    folders = _folders(cell.scenes)
+    folders = folders_in(cell.scenes)
     if cell.kind == "photographs":
         return [photographed_scene(folder) for folder in folders]
     pictures = [photographed_scene(folder, (320, 240)) for folder in folders[::_ON_PLANES]]

@@ -2,7 +2,7 @@
 
 import argparse
 import dataclasses
-import time
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,98 +10,168 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks import options, sheets
 from coded_aperture_benchmarks.datasets.textures import load_textures
-from coded_aperture_benchmarks.rows import grouped
+from coded_aperture_benchmarks.rows import or_dash
 from coded_aperture_benchmarks.run import Row, Suite
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
-from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.design.choice import Wanted, light_lost_stops, load_offer, reference_files
+from coded_aperture_ros.design.relief import LEAST_FILL, MOST_ERROR
+from coded_aperture_ros.design.setting import resolution_m
+from coded_aperture_ros.frames import View
+from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
-from coded_aperture_ros.optics import Camera, load_camera
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.camera_file import load_sensor
 from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 
-# A node has seen some frames when its depth is measured.
-_WARM_UP, _FRAMES = 6, 10
-_STEPS, _BITS = 8, 12
-# The range that is stated: filled by so much, with a median error of at most this.
-_FILLED, _BIAS = 0.8, 0.02
+# Of a video, a node has seen some frames when its depth is measured.
+_WARM_UP = 6
+_FRAMES = 10
+# Distances in the range, equally spaced in their inverse.
+_STEPS = 5
+# Distances before the range, down to this blur in at most so many steps, and beyond it, up to so
+# many times its end.
+_LEAST_BLUR_PX = 1.0
+_BLUR_STEP_PX = 0.25
+_NEAR_STEPS = 8
+_FARTHEST = 2.0
+_FAR_STEPS = 6
+_BITS = 12
+# The noise of cameras whose sensor is not known, of white.
+_NOISE = 0.002
+# The PSF of a thin lens is the same all over the image: the middle of it shows as much.
+_PART_PX = (480, 360)
 # Contrast of the pictures on the planes is theirs; their light fills the sensor about half.
 _DARKEST, _BRIGHTEST = 0.05, 0.9
 
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """A plane at a distance, with one of the pictures on it."""
+    """Planes at a distance, with pictures on them, before a camera with a bank for a range."""
 
-    camera: Camera
-    range_m: tuple[float, float]
+    path: Path
+    range_m: tuple[float, float]  # of the bank
     depth_m: float
-    picture: int
-    noise: float
+    stated: bool  # whether it belongs to the range, not to the search of limits
+    noise: float | None  # of white; of the sensor, if there is none
+    wanted: Wanted
     levels: int
+    pictures: int
 
 
 def _cells(args: argparse.Namespace) -> list[Cell]:
-    camera = load_camera(args.camera)
-    near_m, far_m = args.depth_range
+    if args.page is not None:
+        sheets.check_page(args.page)
+    cells = []
+    for path in _cameras(args):
+        near_m, far_m = _range(args, path)
+        wanted = Wanted(near_m, far_m, illuminance_lux=args.illuminance, rate_hz=args.rate)
+        inside = _inside(near_m, far_m)
+        nearer, farther = _searched(load_offer(path).camera, near_m, far_m)
+        noise = args.noise if args.noise is not None or load_sensor(path) else _NOISE
+        common = (noise, wanted, args.levels, args.pictures)
+        cells += [Cell(path, (depth_m, far_m), depth_m, False, *common) for depth_m in nearer]
+        cells += [Cell(path, (near_m, far_m), depth_m, True, *common) for depth_m in inside]
+        cells += [Cell(path, (near_m, depth_m), depth_m, False, *common) for depth_m in farther]
+    return cells
+
+
+def _cameras(args: argparse.Namespace) -> list[Path]:
+    return args.camera or reference_files()
+
+
+def _range(args: argparse.Namespace, path: Path) -> tuple[float, float]:
+    stated = args.depth_range or load_offer(path).depth_range_m
+    if stated is None:
+        raise InputError(f"{path}: states no range: use --depth-range")
+    near_m, far_m = stated
     if not 0 < near_m < far_m:
         args.usage_error("--depth-range: expected 0 < NEAR < FAR")
-    depths_m = 1 / np.linspace(1 / near_m, 1 / far_m, _STEPS)
-    return [
-        Cell(camera, (near_m, far_m), float(depth_m), picture, args.noise, args.levels)
-        for depth_m in depths_m
-        for picture in range(args.pictures)
-    ]
+    return near_m, far_m
+
+
+def _inside(near_m: float, far_m: float) -> list[float]:
+    return list((1 / np.linspace(1 / near_m, 1 / far_m, _STEPS)).tolist())
+
+
+def _searched(camera: Camera, near_m: float, far_m: float) -> tuple[list[float], list[float]]:
+    """Distances before and beyond a range that limits are searched at, increasing."""
+    if camera.side != "far":
+        return [], []
+    near_px = camera.blur_range_px(near_m, far_m)[0]
+    sizes_px = near_px - _BLUR_STEP_PX * np.arange(_NEAR_STEPS, 0, -1)
+    sizes_px = sizes_px[sizes_px > _LEAST_BLUR_PX - 1e-6]
+    factors = _FARTHEST ** (np.arange(1, _FAR_STEPS + 1) / _FAR_STEPS)
+    return camera.depth_m(sizes_px).tolist(), (far_m * factors).tolist()
+
+
+@functools.lru_cache(maxsize=2)
+def _bank(path: Path, range_m: tuple[float, float], levels: int) -> FilterBank:
+    camera = load_offer(path).camera
+    return learn_bank_for_camera(camera, *guarded_range(camera, *range_m, levels))
 
 
 def measure(cell: Cell) -> Row:
-    """Measure a plane as a node sees it: a video, with the settings that nodes have."""
-    camera, depth_m = cell.camera, cell.depth_m
-    started_s = time.perf_counter()
-    bank = learn_bank_for_camera(camera, *guarded_range(camera, *cell.range_m, cell.levels))
-    learned_s = time.perf_counter()
-    size = camera.image_height, camera.image_width
-    flat = np.full(size, depth_m, np.float32)
-    light = render_coded_frame(_picture(cell.picture, size), flat, camera)
-    sensor, random = SensorModel(cell.noise, _BITS), np.random.default_rng(cell.picture)
-    frames = [sensor.expose(light, random) for _ in range(_WARM_UP + _FRAMES)]
-    began_s = time.perf_counter()
-    estimator = DepthEstimator(bank, DepthConfig(temporal_frames=VIDEO_FRAMES), camera)
-    maps: list[np.ndarray] = []
-    stated, seconds, cpu = [], [], []
-    for frame in frames:
-        before, cpu_before = time.perf_counter(), time.process_time()
-        estimate = estimator.estimate(frame)
-        seconds.append(time.perf_counter() - before)
-        cpu.append(time.process_time() - cpu_before)
-        if not maps:
-            first_s = learned_s - started_s + time.perf_counter() - began_s
-        maps.append(np.asarray(estimate.depth_m))
-        stated.append(np.asarray(estimate.std_dev_m))
-    estimator.close()
-    shown, said = np.stack(maps[_WARM_UP:]), np.stack(stated[_WARM_UP:])
+    """Measure planes as a node sees them: a video, with the settings that nodes have."""
+    camera = load_offer(cell.path).camera
+    bank = _bank(cell.path, cell.range_m, cell.levels)
+    maps, stated = [], []
+    for picture in range(cell.pictures):
+        found = _estimates(cell, camera, bank, picture)
+        maps.append(np.stack([np.asarray(one.depth_m) for one in found]))
+        stated.append(np.stack([np.asarray(one.std_dev_m) for one in found]))
+    depth_m = cell.depth_m
+    shown = np.stack(maps)  # [pictures, frames, rows, columns]
     known = np.isfinite(shown)
-    error = shown[known] / depth_m - 1
-    always = known.all(axis=0)
+    error = shown / depth_m - 1
+    biases = [float(np.median(one[np.isfinite(one)])) for one in error if np.isfinite(one).any()]
+    always = np.moveaxis(shown, 1, -1)[known.all(axis=1) & cell.stated]
+    off = error[known]
     return {
         "depth_m": round(depth_m, 4),
-        "picture": cell.picture,
+        "blur_px": _number(float(camera.blur_size_px(depth_m))),
         "fill": round(float(known.mean()), 4),
-        "bias": _number(np.median(error)) if error.size else None,
-        "rms": _number(np.sqrt(np.mean(error**2))) if error.size else None,
-        "temporal": _number(np.median(shown[:, always].std(axis=0)) / depth_m)
-        if always.any()
-        else None,
-        "said": _number(np.median(said[known]) / depth_m) if error.size else None,
-        "first_s": round(first_s, 3),
-        "seconds": [round(each, 4) for each in seconds[_WARM_UP:]],
-        "cores": round(float(np.sum(cpu[_WARM_UP:]) / np.sum(seconds[_WARM_UP:])), 2),
+        "error": _number(np.median(np.abs(off))) if off.size else None,
+        "bias": _number(max(biases, key=abs)) if biases else None,
+        "rms": _number(np.sqrt(np.mean(off**2))) if off.size else None,
+        "temporal": _number(np.median(always.std(axis=-1)) / depth_m) if always.size else None,
+        "said": _number(np.median(np.stack(stated)[known]) / depth_m) if off.size else None,
+        "next_m": _finite(float(resolution_m(camera, depth_m))),
+        "pixel_mm": _number(1e3 * depth_m / camera.focal_length_px),
     }
 
 
-def _picture(index: int, size: tuple[int, int]) -> NDArray[np.float32]:
+def _estimates(cell: Cell, camera: Camera, bank: FilterBank, picture: int) -> list:
+    whole = camera.image_width, camera.image_height
+    changes = camera.wavefront is not None or camera.field_curvature is not None
+    width, height = whole if changes else map(min, _PART_PX, whole)
+    left, top = (whole[0] - width) / 2, (whole[1] - height) / 2
+    part = camera.for_view(View(width, height, *whole, left, top))
+    flat = np.full((height, width), cell.depth_m, np.float32)
+    light = render_coded_frame(_picture(picture, flat.shape), flat, part)
+    random = np.random.default_rng(picture)
+    estimator = DepthEstimator(bank, DepthConfig(temporal_frames=VIDEO_FRAMES), part)
+    count = _WARM_UP + (_FRAMES if cell.stated else 1)
+    estimates = [estimator.estimate(_exposed(cell, camera, light, random)) for _ in range(count)]
+    estimator.close()
+    return estimates[_WARM_UP:]
+
+
+def _exposed(
+    cell: Cell, camera: Camera, light: NDArray[np.float32], random: np.random.Generator
+) -> NDArray[np.float32]:
+    if cell.noise is not None:
+        return SensorModel(cell.noise, _BITS).expose(light, random)
+    sensor = load_offer(cell.path).sensor
+    return cell.wanted.exposure(sensor).exposed(light, camera, random)
+
+
+def _picture(index: int, size: tuple[int, ...]) -> NDArray[np.float32]:
     """Return a photograph as large as a frame, mirrored where it is smaller."""
     pictures = load_textures("natural").pictures
     picture = pictures[index % len(pictures)]
@@ -118,48 +188,72 @@ def _number(value: float) -> float:
     return round(float(value), 5)
 
 
+def _finite(value: float) -> float | None:
+    return _number(value) if np.isfinite(value) else None
+
+
 def _results(args: argparse.Namespace, measured: list[Row]) -> Row:
-    camera = load_camera(args.camera)
-    focal_px = camera.intrinsics.camera_matrix[0]
-    sides = camera.image_width, camera.image_height
-    times_s = np.concatenate([row["seconds"] for row in measured])
-    rows = [_at_distance(rows) for rows in grouped(measured, "depth_m").values()]
-    good = [row["depth_m"] for row in rows if _stated(row)]
+    cells = _cells(args)
+    found = []
+    paths = _cameras(args)
+    for path in progress(paths, len(paths), "camera"):
+        pairs = [
+            (cell, row) for cell, row in zip(cells, measured, strict=True) if cell.path == path
+        ]
+        found.append(_sheet(args, path, pairs))
+    results = {"illuminance_lux": args.illuminance, "rate_hz": args.rate, "sheets": found}
+    if args.page is not None:
+        sheets.write_page(args.page, results, args.scenes)
+    return results
+
+
+def _sheet(args: argparse.Namespace, path: Path, pairs: list[tuple[Cell, Row]]) -> Row:
+    offer = load_offer(path)
+    camera = offer.camera
+    range_m = _range(args, path)
+    rows = [row for _, row in pairs]
+    lost = light_lost_stops(camera)
+    noise = pairs[0][0].noise
     return {
-        "camera": str(args.camera),
+        "camera": path.stem,
+        "file": str(path),
+        "name": offer.name,
+        "range_m": list(range_m),
+        "limits_m": limits(rows),
+        "ends_m": [rows[0]["depth_m"], rows[-1]["depth_m"]],
+        "field_of_view_deg": list(offer.view_deg),
+        "frame_px": [camera.image_width, camera.image_height],
         "mask": camera.mask.name,
-        "field_of_view_deg": [round(2 * np.degrees(np.arctan(n / 2 / focal_px)), 1) for n in sides],
-        "range_m": [min(good), max(good)] if good else None,
-        "latency_ms": [
-            _milliseconds(np.median(times_s)),
-            _milliseconds(np.quantile(times_s, 0.99)),
-        ],
-        "cores": round(float(np.mean([row["cores"] for row in measured])), 2),
-        "first_depth_s": max(row["first_s"] for row in measured),
-        "light": round(float(camera.mask.transmission.mean()), 3),
-        "rows": rows,
+        "mask_extent_mm": camera.mask_extent_mm,
+        "focus_distance_m": camera.focus_distance_m,
+        "light": round(float(camera.mask.open_fraction), 3),
+        "light_lost_stops": None if lost is None else round(lost, 1),
+        "noise": noise,
+        "speed": sheets.frame_times(camera, range_m, _bank(path, range_m, args.levels)),
+        "rows": [row for cell, row in pairs if cell.stated],
+        "searched": [row for cell, row in pairs if not cell.stated],
     }
 
 
-def _milliseconds(seconds: float) -> float:
-    return round(1e3 * float(seconds), 1)
+def limits(rows: list[Row]) -> list[float] | None:
+    """Ends of the longest run of distances with small error and enough depth, m.
 
-
-def _stated(row: Row) -> bool:
-    return row["fill"] >= _FILLED and row["bias"] is not None and abs(row["bias"]) <= _BIAS
-
-
-def _at_distance(rows: list[Row]) -> Row:
-    """Return the mean over pictures; of the error's sign, the worst."""
-    found: Row = {"depth_m": rows[0]["depth_m"], "fill": _mean(rows, "fill")}
-    biases = [row["bias"] for row in rows if row["bias"] is not None]
-    found["bias"] = max(biases, key=abs) if biases else None
-    return found | {name: _mean(rows, name) for name in ("rms", "temporal", "said")}
-
-
-def _mean(rows: list[Row], name: str) -> float | None:
-    values = [row[name] for row in rows if row[name] is not None]
-    return _number(np.mean(values)) if values else None
+    Examples
+    --------
+    >>> rows = [{"depth_m": z, "error": 0.01, "fill": 0.9} for z in (1.0, 2.0, 3.0)]
+    >>> limits([{"depth_m": 0.5, "error": None, "fill": 0.0}, *rows])
+    [1.0, 3.0]
+    """
+    best: list[float] | None = None
+    run: list[float] = []
+    for row in rows:
+        holds = (
+            row["error"] is not None and row["error"] <= MOST_ERROR and row["fill"] >= LEAST_FILL
+        )
+        run = [*run, row["depth_m"]] if holds else []
+        if run and (best is None or run[-1] / run[0] > best[1] / best[0]):
+            best = [run[0], run[-1]]
+    return best
 
 
 def _per_cent(name: str) -> Callable[[Row], str]:
@@ -167,28 +261,37 @@ def _per_cent(name: str) -> Callable[[Row], str]:
 
 
 def _text(results: Row) -> str:
-    across, down = results["field_of_view_deg"]
-    median, worst = results["latency_ms"]
-    between = results["range_m"]
+    return "\n\n".join(_sheet_text(one) for one in results["sheets"])
+
+
+def _sheet_text(sheet: Row) -> str:
+    across, down = sheet["field_of_view_deg"]
+    between = sheet["limits_m"]
     reach = "none" if between is None else f"{between[0]:.2f} to {between[1]:.2f} m"
+    width, height = sheet["frame_px"]
+    speed = sheet["speed"]
     lines = [
-        f"{results['camera']}: mask {results['mask']}, {100 * results['light']:.0f} % of the light",
+        f"{sheet['file']}: mask {sheet['mask']}, {100 * sheet['light']:.0f} % of its square open",
         f"field of view {across} x {down} degrees",
-        f"range {reach}: at least {100 * _FILLED:.0f} % filled, median error at most "
-        f"{100 * _BIAS:.0f} %",
-        f"a frame {median} ms (p99 {worst} ms), {results['cores']} cores busy; first depth after "
-        f"{results['first_depth_s']} s, without a bank",
+        f"limits {reach}, searched from {sheet['ends_m'][0]:.2f} to {sheet['ends_m'][1]:.2f} m: "
+        f"at least {100 * LEAST_FILL:.0f} % filled, median error at most {100 * MOST_ERROR:.0f} %",
+        f"a frame of {width}x{height} takes {speed['refined_ms']:.0f} ms, "
+        f"{speed['semiglobal_ms']:.0f} ms semiglobal, on {speed['processors']} processors; first "
+        f"depth after {speed['first_s']} s, without a bank",
         "",
     ]
     table = columns(
-        results["rows"],
+        sheet["rows"],
         {
             "distance": "{depth_m:.2f} m",
+            "blur": "{blur_px:.1f} px",
             "fill rate": _per_cent("fill"),
-            "median error, worst picture": _per_cent("bias"),
+            "median error": _per_cent("error"),
+            "of the worst picture": _per_cent("bias"),
             "RMS error": _per_cent("rms"),
             "temporal noise": _per_cent("temporal"),
             "standard deviation said": _per_cent("said"),
+            "next depth": lambda row: or_dash(row["next_m"], "{:.2f} m"),
         },
     )
     return "\n".join(lines) + table
@@ -196,30 +299,57 @@ def _text(results: Row) -> str:
 
 SUITE = Suite(
     name="datasheet",
-    said=("noise", "levels"),
-    description="Simulate a camera before textured planes and say what data sheets of depth "
-    "cameras say: fill rate, error and temporal noise over distance, range, field of view, time of "
-    "a frame and until the first depth. With the settings that nodes have; photographs on the "
-    "planes. Fill rate: share of the pixels with depth. RMS error: of these, against the true "
-    "distance. Temporal noise: median over pixels of the standard deviation over ten frames.",
+    said=("levels",),
+    description="Simulate cameras before textured planes and say what data sheets of depth "
+    "cameras say: fill rate, error and temporal noise over distance, near and far limit, field of "
+    "view, time of a frame and until the first depth. Photographs on the planes; diffraction as "
+    "the camera file says. Fill rate: share of the pixels with depth. RMS error: of these, against "
+    "the true distance. Temporal noise: median over pixels of the standard deviation over ten "
+    "frames. With the settings that nodes have. Limits are searched beyond the range, too, each "
+    "distance with a bank from there to the other end of the range.",
     examples="""examples:
-  the camera of the demo:
+  a camera file, for a range:
     python -m coded_aperture_benchmarks datasheet --camera config/demo_camera.yaml \\
         --depth-range 2.1 5.1
+  the page of the reference cameras, with its pictures:
+    python -m coded_aperture_benchmarks datasheet --page docs/data_sheets.md \\
+        --scenes $CODED_APERTURE_DATA/real_scenes
 """,
     options=(
-        options.option("--camera", "camera file", type=Path, metavar="YAML", required=True),
+        options.option(
+            "--camera",
+            "camera files (default: the reference cameras)",
+            type=Path,
+            metavar="YAML",
+            nargs="+",
+        ),
         options.option(
             "--depth-range",
-            "of the bank and the planes, m",
+            "of the bank and the planes, m (default: as the camera file states)",
             type=float,
             nargs=2,
             metavar=("NEAR", "FAR"),
-            required=True,
         ),
-        options.added_noise(0.002),
+        options.option("--illuminance", "on the planes, lux", 300.0, type=float, metavar="LUX"),
+        options.option("--rate", "frames a second", 20.0, type=float, metavar="HZ"),
+        options.option(
+            "--noise",
+            "instead of the sensor's, linear light (default 0.002 without a sensor in the file)",
+            type=options.noise_level,
+            metavar="S",
+        ),
         options.number("--levels", 2, 30, "blur levels of the bank"),
         options.number("--pictures", 1, 3, "photographs on the planes"),
+        options.option(
+            "--page", "write sheets and pictures into this document", type=Path, metavar="MD"
+        ),
+        options.option(
+            "--scenes",
+            "folders with sharp_srgb.png and disparity.npz, for the page's pictures (default: "
+            "random scenes)",
+            type=Path,
+            metavar="DIR",
+        ),
         *options.RESULTS,
     ),
     cells=_cells,

@@ -1,0 +1,30 @@
+"""Photographs with measured disparity, as scenes that are put into a range."""
+
+from pathlib import Path
+
+import numpy as np
+
+from coded_aperture_ros.design.relief import ReliefScene
+from coded_aperture_ros.io import read_image
+
+_LARGEST_PX = (448, 368)
+# Disparities beyond these quantiles are cut off: few pixels would shrink the relief of all others.
+_ENDS = (0.01, 0.99)
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """Folders with `sharp_srgb.png` and `disparity.npz`."""
+    return sorted(path.parent for path in folder.glob("*/disparity.npz"))
+
+
+def photographed_scene(folder: Path, largest_px: tuple[int, int] = _LARGEST_PX) -> ReliefScene:
+    """Middle of a photograph with measured disparity; places go with the disparity."""
+    picture = read_image(folder / "sharp_srgb.png", "srgb").mean(axis=2)
+    with np.load(folder / "disparity.npz") as stored:
+        disparity = stored["disparity"].astype(np.float32)
+    height, width = disparity.shape
+    top, left = max(0, height - largest_px[1]) // 2, max(0, width - largest_px[0]) // 2
+    cut = slice(top, top + largest_px[1]), slice(left, left + largest_px[0])
+    low, high = np.nanquantile(disparity[cut], _ENDS)
+    place = 1 - np.clip((disparity[cut] - low) / (high - low), 0, 1)
+    return ReliefScene(picture[cut].astype(np.float32), place.astype(np.float32))
