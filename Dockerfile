@@ -19,4 +19,4 @@ RUN useradd --create-home --groups video ros
 USER ros
 WORKDIR /home/ros
 CMD ["bash", "-c", "ros2 launch coded_aperture_ros pipeline.launch.py source:=simulator \
-    near_m:=2.1 far_m:=5.1 camera_file:=$(ros2 pkg prefix --share coded_aperture_ros)/config/demo_camera.yaml"]
+    near_m:=0.63 far_m:=1.53 camera_file:=$(ros2 pkg prefix --share coded_aperture_ros)/config/demo_camera.yaml"]

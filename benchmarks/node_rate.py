@@ -44,13 +44,11 @@ from coded_aperture_ros.core.share import (
     shared_memory_suffices,
 )
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
 
 # The simulated camera of the demo, and where its scene is.
 CAMERA_FILE = "demo_camera.yaml"
-NEAR_M = 2.05
-FAR_M = 5.1
 FRAMES = 8
-NOISE = 0.002
 
 # What was sent last has come by then, or never will.
 _LAST_RESULTS_S = 1.0
@@ -64,10 +62,12 @@ def render_frames(camera_file: Path) -> NDArray[np.uint8]:
     """Return different views of a real scene, coded by the camera's mask, with noise; mono8."""
     from coded_aperture_ros.io.messages import luminance, pixels_from_frame
     from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+    from coded_aperture_ros.simulation import PanningScene, motorcycle_scene
+    from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
 
-    panning = PanningScene(motorcycle_scene(), load_camera(camera_file), period_s=2.0 * FRAMES)
-    sensor, random = SensorModel(NOISE), np.random.default_rng(0)
+    camera = load_camera(camera_file)
+    panning = PanningScene(motorcycle_scene(), camera, period_s=2.0 * FRAMES)
+    sensor, random = sensor_of_camera_file(camera_file, camera), np.random.default_rng(0)
     views = (luminance(panning.frame(float(time_s)).coded) for time_s in range(FRAMES))
     return np.stack([pixels_from_frame(sensor.expose(view, random), "mono8") for view in views])
 
@@ -131,10 +131,11 @@ def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
 
 def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> list[str]:
     """Return the command line of the depth node; parameters `given` as NAME:=VALUE come last."""
+    near_m, far_m = MOTORCYCLE_RANGE_M
     parameters = [
         f"camera_file:={json.dumps(str(camera_file))}",
-        f"near_m:={NEAR_M}",
-        f"far_m:={FAR_M}",
+        f"near_m:={near_m}",
+        f"far_m:={far_m}",
         f"learn.level_count:={DEFAULT_LEVEL_COUNT}",
     ]
     if reliable:

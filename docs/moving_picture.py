@@ -17,10 +17,11 @@ from coded_aperture_ros.io.depth_picture import depth_picture
 from coded_aperture_ros.io.panels import panels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, PanningScene, motorcycle_scene
+from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
 
-NEAR_M, FAR_M = 2.1, 5.1
-FRAMES, PERIOD_S, NOISE, WIDTH = 16, 12.0, 0.002, 320
+NEAR_M, FAR_M = MOTORCYCLE_RANGE_M
+FRAMES, PERIOD_S, WIDTH = 16, 12.0, 320
 
 
 def shown(light: np.ndarray) -> np.ndarray:
@@ -36,9 +37,10 @@ def small(picture: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Process the frames in their order, as the nodes do, and write one picture of all."""
-    camera = load_camera(share_directory() / "config" / "demo_camera.yaml")
+    path = share_directory() / "config" / "demo_camera.yaml"
+    camera = load_camera(path)
     bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, 30)
-    scene = PanningScene(motorcycle_scene(), camera, SensorModel(NOISE), PERIOD_S)
+    scene = PanningScene(motorcycle_scene(), camera, sensor_of_camera_file(path, camera), PERIOD_S)
     pipeline = FramePipeline(bank, camera, DepthConfig(temporal_frames=4.0))
     pictures = []
     for index in range(FRAMES):

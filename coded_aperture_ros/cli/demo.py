@@ -31,13 +31,12 @@ from coded_aperture_ros.core.share import (
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
 
 if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
 CAMERA_FILE = "demo_camera.yaml"
-# What the scene covers, and a little more.
-NEAR_M, FAR_M = 2.05, 5.1
 RATE_HZ = 12.0
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR = {"frames.max_rate_hz": 3.0}
@@ -114,7 +113,7 @@ def run(args: Arguments) -> int:
 def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
     started_s = time.monotonic()
-    bank = learn_bank_for_camera(load_camera(camera_file), NEAR_M, FAR_M, DEFAULT_LEVEL_COUNT)
+    bank = learn_bank_for_camera(load_camera(camera_file), *MOTORCYCLE_RANGE_M, DEFAULT_LEVEL_COUNT)
     save_bank(bank, bank_file)
     say.line(f"learned a bank of {bank.levels} levels in {time.monotonic() - started_s:.1f} s")
     return {"camera_file": str(camera_file), "bank": str(bank_file)}

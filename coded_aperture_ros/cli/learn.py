@@ -45,17 +45,17 @@ from coded_aperture_ros.sources import captures, open_files
 
 _EXAMPLES = """examples:
   from a camera file:
-    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 --level-count 30 \\
-        -o bank.npz
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 0.63 1.53 \\
+        --level-count 30 -o bank.npz
   for another focus or depth range of the same lens and mask, without new pictures:
-    coded_aperture learn --remap bank.npz --camera config/demo_camera.yaml --depth-range 2.3 6 \\
+    coded_aperture learn --remap bank.npz --camera config/demo_camera.yaml --depth-range 0.7 1.8 \\
         -o new_bank.npz
   from a mask and a range of blur sizes in px, without a camera:
     coded_aperture learn --mask levin --blur-sizes 7 30 39 -o bank.npz
   from measured PSFs (.npz with psfs [N, k, k]), optionally at known depths in m:
     coded_aperture learn --psfs stack.npz --depths 1.0,1.5,2.0 -o bank.npz
   with textures from sharp pictures of the place where the camera works:
-    coded_aperture learn --camera config/demo_camera.yaml --depth-range 2.1 5.1 \\
+    coded_aperture learn --camera config/demo_camera.yaml --depth-range 0.63 1.53 \\
         --images pictures --gamma srgb -o bank.npz
   from pictures of planes, without knowing the mask:
     coded_aperture learn --planes planes -o bank.npz

@@ -24,20 +24,22 @@ from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.likelihood.bank import power_spectrum
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.simulation import (
+    MOTORCYCLE_RANGE_M,
     PanningScene,
-    SensorModel,
     motorcycle_scene,
     render_coded_frame,
 )
+from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
 from coded_aperture_ros.simulation.scene import SimulatedFrame
 
 _EXAMPLES = """example:
   coded_aperture sample && cd sample
-  coded_aperture learn --camera camera.yaml --depth-range 2.1 5.1 -o bank.npz
+  coded_aperture learn --camera camera.yaml --depth-range 0.63 1.53 -o bank.npz
   coded_aperture depth --bank bank.npz coded.png -o depth.npy --pictures
 """
-_NOISE, _RATE_HZ, _FRAMES = 0.002, 10, 12
-_NEAR_M, _FAR_M, _PLANES, _PLANE_PX = 2.1, 5.1, 12, (240, 320)
+_RATE_HZ, _FRAMES = 10, 12
+_PLANES, _PLANE_PX = 12, (240, 320)
+_BITS = 12
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
@@ -70,7 +72,8 @@ def run(args: Arguments) -> int:
 def _made(folder: Path) -> Iterator[list[str]]:
     """Write everything; yield the names of each part."""
     shutil.copy(share_directory() / "config" / "demo_camera.yaml", folder / "camera.yaml")
-    camera, sensor = load_camera(folder / "camera.yaml"), SensorModel(_NOISE, 12)
+    camera = load_camera(folder / "camera.yaml")
+    sensor = sensor_of_camera_file(folder / "camera.yaml", camera, _BITS)
     scene = PanningScene(motorcycle_scene(), camera, sensor)
     views = [scene.frame(index / _RATE_HZ) for index in range(_FRAMES)]
     for name, light in (("coded.png", views[0].coded), ("sharp.png", views[0].sharp)):
@@ -85,7 +88,8 @@ def _made(folder: Path) -> Iterator[list[str]]:
 
     random, entries = np.random.default_rng(0), []
     spectrum = np.sqrt(power_spectrum(2.2, _PLANE_PX))
-    for index, inverse in enumerate(np.linspace(1 / _NEAR_M, 1 / _FAR_M, _PLANES)):
+    near_m, far_m = MOTORCYCLE_RANGE_M
+    for index, inverse in enumerate(np.linspace(1 / near_m, 1 / far_m, _PLANES)):
         texture = np.fft.irfft2(np.fft.rfft2(random.normal(size=_PLANE_PX)) * spectrum, _PLANE_PX)
         light = np.clip(0.4 + 0.13 * texture / texture.std(), 0.01, 0.95).astype(np.float32)
         depth_m = np.full(_PLANE_PX, 1 / inverse, np.float32)
@@ -131,8 +135,9 @@ COMMAND = Command(
     run,
     description="Write what a camera file describes as the simulated camera records it: a "
     "coded frame (coded.png) with its truth (sharp.png, depth.png), frames of a video "
-    "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). All is 2.1 to "
-    "5.1 m away. Look at coded.picture.png and so on: the others have 16 bits, linear light or mm, "
+    "(video/), planes at known depths (planes/) and a ROS 2 bag (recording/). The camera is a "
+    "25 mm f/1.4 lens with a mask, its scene a model of a motorcycle, 0.64 to 1.52 m away. "
+    "Look at coded.picture.png and so on: the others have 16 bits, linear light or mm, "
     "for programs. The examples of the documentation run on them.",
     examples=_EXAMPLES,
 )

@@ -26,7 +26,7 @@ from coded_aperture_ros.simulation import SensorModel, render_coded_frame
 from coded_aperture_ros.simulation.layered import random_scene
 
 _EXAMPLES = """examples:
-  a scene that is 2.1 to 5.1 m away:
+  a scene that is 0.63 to 1.53 m away:
     coded_aperture simulate --camera config/demo_camera.yaml --image sharp.png --gamma srgb \\
         --depth depth.png -o coded.png --noise 0.002 --bits 12
   a random scene, in front of the focus and behind it, with its truth beside it:

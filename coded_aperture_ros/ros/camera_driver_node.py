@@ -35,6 +35,8 @@ from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
 from coded_aperture_ros.ros.scheduling import Pace
 from coded_aperture_ros.ros.static_transform import broadcast_static, optical_transform
 from coded_aperture_ros.ros.topics import LocalTopics, Outputs
+from coded_aperture_ros.simulation import SensorModel
+from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
 from coded_aperture_ros.sources import (
     SIMULATOR,
     Capture,
@@ -72,9 +74,10 @@ class CameraDriverConfig:
     )
     loop: bool = option(True, "Start files again after their last frame")
     noise: float = option(
-        0.002,
-        "Standard deviation of the simulated sensor's noise in linear light",
-        within=(0.0, 0.5),
+        -1.0,
+        "Standard deviation of the simulated sensor's noise in linear light; -1: of the camera "
+        "file's sensor at 300 lux and 20 Hz, or 0.002 if it has none",
+        within=(-1.0, 0.5),
         parameter="simulation.noise",
     )
     camera_name: str = option(
@@ -159,19 +162,25 @@ class CameraDriverNode(ManagedNode):
             return config.camera_file
         return str(share_directory() / "config" / "demo_camera.yaml")
 
+    def _sensor(self) -> SensorModel:
+        """Noise of the simulated sensor."""
+        if self._config.noise >= 0:
+            return SensorModel(self._config.noise)
+        return sensor_of_camera_file(self._camera_file, self._camera)
+
     def set_up(self) -> None:
         """Load the camera file and open the source."""
         config = self._config
         self._camera = required_camera(self._camera_file)
         if config.source == RGBD:
-            self._source = RgbdSource(self, self._camera, config.noise)
+            self._source = RgbdSource(self, self._camera, self._sensor())
         else:
             self._source = open_source(
                 config.source,
                 self._camera,
                 config.rate_hz,
                 loop=config.loop,
-                noise=config.noise,
+                sensor=self._sensor() if config.source == SIMULATOR else None,
                 device=self.configs[DeviceConfig],
             )
         self._store = CameraInfoStore(self, config.camera_info_url, self._name)

@@ -42,15 +42,15 @@ class RgbdSource:
     node : Node
     camera : Camera
         Its focal length has to be that of the images.
-    noise : float
-        Standard deviation of the simulated sensor's noise, linear light.
+    sensor : SensorModel
+        Of the simulated sensor.
     """
 
     live = True
 
-    def __init__(self, node: Node, camera: Camera, noise: float) -> None:
+    def __init__(self, node: Node, camera: Camera, sensor: SensorModel) -> None:
         self._camera = camera
-        self._sensor = SensorModel(noise)
+        self._sensor = sensor
         self._random = np.random.default_rng(0)
         self._pairs: StampPairs[Image, Image] = StampPairs(_WAITING_MESSAGES, lambda: None)
         self._changed = threading.Condition()

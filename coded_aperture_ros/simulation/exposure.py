@@ -12,14 +12,21 @@ The chain is that of radiometry (R. W. Boyd, Radiometry and the Detection of Opt
 """
 
 import dataclasses
+import os
 
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.camera_file import load_sensor
 from coded_aperture_ros.optics.sensor import Sensor
 from coded_aperture_ros.simulation.scene import SensorModel
 
+# Light and rate that figures of reference cameras, demo and sample are for.
+REFERENCE_LUX = 300.0
+REFERENCE_RATE_HZ = 20.0
+# Of white: noise of a camera whose file describes no sensor.
+_UNKNOWN_SENSOR_NOISE = 0.002
 # Photons on a square metre in a second, of white light of one lux.
 _PHOTONS_OF_LUX = 1e16
 # Share of the light that lenses let pass.
@@ -88,3 +95,25 @@ class Exposure:
         counted = random.poisson(np.clip(light, 0, None) * white)
         noise = random.normal(0, self.read_noise, counted.shape)
         return SensorModel(bits=_BITS).expose((counted + noise) / white, random)
+
+
+def sensor_of_camera_file(
+    path: str | os.PathLike[str], camera: Camera, bits: int = 0
+) -> SensorModel:
+    """Noise of a camera file's sensor at 300 lux and 20 Hz; 0.002 of white if it has none.
+
+    Parameters
+    ----------
+    path : str or path-like
+        The camera file.
+    camera : Camera
+        What it describes.
+    bits : int, optional
+        See `SensorModel`.
+    """
+    sensor = load_sensor(path)
+    if sensor is None:
+        return SensorModel(_UNKNOWN_SENSOR_NOISE, bits)
+    exposure = Exposure.with_sensor(sensor, REFERENCE_LUX, 1e3 / REFERENCE_RATE_HZ)
+    dark, gain = exposure.noise(camera)
+    return SensorModel(dark, bits, gain)

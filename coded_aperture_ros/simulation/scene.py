@@ -18,11 +18,19 @@ from coded_aperture_ros.simulation.render import render_coded_frame
 _MOTORCYCLE_FOCAL_PX = 994.978
 _MOTORCYCLE_BASELINE_M = 0.193001
 _MOTORCYCLE_DISPARITY_OFFSET_PX = 31.086
+# The camera of the demo sees a model of it, of this share of its size and of its distances: a lens
+# that exists blurs it as much as one with three times the mask would blur the motorcycle itself.
+MOTORCYCLE_MODEL = 1 / 3.3
+# What the model covers, and a little more, m.
+MOTORCYCLE_RANGE_M = (0.63, 1.53)
+# Enlargement of the picture of 741 x 500 to the focal length of the demo's camera; it leaves a
+# window of 640 x 480 room to move in.
+MOTORCYCLE_SCALE = 1.269
 
 
 @dataclasses.dataclass(frozen=True)
 class SensorModel:
-    """Additive Gaussian noise, then quantisation.
+    """Additive Gaussian noise, with shot noise, then quantisation.
 
     Parameters
     ----------
@@ -30,6 +38,8 @@ class SensorModel:
         Standard deviation, 1 = full scale.
     bits : {0, 8, 12, 16}, optional
         Values are clipped to 0..1 and rounded to `2**bits - 1` steps; 0: no quantisation.
+    gain : float, optional
+        Variance of the shot noise per unit of light.
 
     Raises
     ------
@@ -47,22 +57,31 @@ class SensorModel:
 
     noise: float = 0.0
     bits: int = 0
+    gain: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.noise <= 1:
-            raise InputError(f"noise: expected 0 to 1 (full scale), got {self.noise!r}")
+        for name in ("noise", "gain"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InputError(f"{name}: expected 0 to 1, got {getattr(self, name)!r}")
         if self.bits not in (0, 8, 12, 16):
             raise InputError(f"bits: expected 0, 8, 12 or 16, got {self.bits!r}")
 
     def expose(self, image: NDArray, rng: np.random.Generator) -> FloatArray:
         """Image as the sensor reads it out, float32, linear light, shape of `image`."""
         exposed = np.array(image, dtype=np.float32)
-        if self.noise:
-            exposed += np.float32(self.noise) * rng.standard_normal(exposed.shape, np.float32)
+        if self.noise or self.gain:
+            exposed += self.deviation(exposed) * rng.standard_normal(exposed.shape, np.float32)
         if self.bits:
             steps = np.float32(2**self.bits - 1)
             exposed = np.rint(np.clip(exposed, 0.0, 1.0) * steps) / steps
         return exposed
+
+    def deviation(self, light: FloatArray) -> FloatArray:
+        """Standard deviation of the noise at this light, float32, of its shape or one number."""
+        if not self.gain:
+            return np.asarray(self.noise, np.float32)
+        variance = np.float32(self.gain) * np.maximum(light, np.float32(0))
+        return np.asarray(np.sqrt(variance + np.float32(self.noise**2)), np.float32)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,14 +107,17 @@ class Scene:
     focal_length_px: float  # of the camera that took the picture
 
 
-def motorcycle_scene(scale: float = 1.2) -> Scene:
-    """Middlebury's motorcycle, which scikit-image ships, 2.1 to 5.0 m away.
+def motorcycle_scene(scale: float = MOTORCYCLE_SCALE, model: float = MOTORCYCLE_MODEL) -> Scene:
+    """Model of Middlebury's motorcycle, which scikit-image ships, 0.64 to 1.52 m away.
 
     Parameters
     ----------
     scale : float, optional
-        Enlargement of the picture of 741 x 500; by default enough for a window of 640 x 480 to move
-        in.
+        Enlargement of the picture of 741 x 500; by default to the focal length of the demo's
+        camera.
+    model : float, optional
+        Size of the model, as a share of the motorcycle's: 1 is the motorcycle itself, 2.1 to 5.0 m
+        away.
 
     Returns
     -------
@@ -130,7 +152,7 @@ def motorcycle_scene(scale: float = 1.2) -> Scene:
     # Cubic interpolation overshoots at edges; depths must not be mixed across them.
     image = np.clip(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), 0.0, 1.0)
     depth_m = cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST)
-    return Scene(image, depth_m, _MOTORCYCLE_FOCAL_PX * scale)
+    return Scene(image, depth_m * np.float32(model), _MOTORCYCLE_FOCAL_PX * scale)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,6 +8,7 @@ from coded_aperture_ros.bags import is_bag
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.picture_file import picture_files
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.sources.bag import BagSource
 from coded_aperture_ros.sources.device import DeviceConfig, DeviceSource
 from coded_aperture_ros.sources.files import VIDEO_SUFFIXES, FileSource, PictureSource, VideoSource
@@ -60,7 +61,7 @@ def open_source(
     rate_hz: float,
     *,
     loop: bool = True,
-    noise: float = 0.0,
+    sensor: SensorModel | None = None,
     device: DeviceConfig | None = None,
 ) -> Source:
     """Source of frames by name.
@@ -76,8 +77,8 @@ def open_source(
         Frame rate of simulator and device.
     loop : bool, optional
         Whether files begin again after the last frame.
-    noise : float, optional
-        Standard deviation of the simulator's noise, linear light.
+    sensor : SensorModel, optional
+        The simulator's noise; by default none.
     device : DeviceConfig, optional
 
     Returns
@@ -104,7 +105,7 @@ def open_source(
     (48, 64)
     """
     if text == SIMULATOR:
-        return SimulatorSource(camera, rate_hz, noise)
+        return SimulatorSource(camera, rate_hz, sensor or SensorModel())
     if not text:
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
     if _is_device(text):

@@ -3,10 +3,10 @@
 import numpy as np
 
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.simulation import PanningScene, motorcycle_scene
+from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
+from coded_aperture_ros.simulation.scene import MOTORCYCLE_SCALE
 from coded_aperture_ros.sources.source import Capture
 
-_SCENE_SCALE = 1.2
 _NOISE_MARGIN_PX = 128
 
 
@@ -18,8 +18,8 @@ class SimulatorSource:
     camera : Camera
     rate_hz : float
         Frames per second of simulated time.
-    noise : float
-        Standard deviation of the sensor's noise, linear light.
+    sensor : SensorModel
+        Its noise; frames are not quantised.
 
     Raises
     ------
@@ -33,9 +33,9 @@ class SimulatorSource:
 
     live = False
 
-    def __init__(self, camera: Camera, rate_hz: float, noise: float) -> None:
+    def __init__(self, camera: Camera, rate_hz: float, sensor: SensorModel) -> None:
         # Leaves the camera room to move about in, whatever its resolution.
-        scale = _SCENE_SCALE * max(camera.image_width / 640, camera.image_height / 480)
+        scale = MOTORCYCLE_SCALE * max(camera.image_width / 640, camera.image_height / 480)
         self._scene = PanningScene(motorcycle_scene(scale), camera)
         self._rate_hz = rate_hz
         self._frames = 0
@@ -43,7 +43,8 @@ class SimulatorSource:
         # Drawing a million random numbers would take most of the time of a frame. Frames take
         # different windows of one larger field instead.
         shape = camera.image_height + _NOISE_MARGIN_PX, camera.image_width + _NOISE_MARGIN_PX, 3
-        self._noise = np.float32(noise) * self._random.standard_normal(shape, np.float32)
+        self._sensor = sensor
+        self._noise = self._random.standard_normal(shape, np.float32)
 
     def read(self) -> Capture | None:
         """Next frame."""
@@ -51,7 +52,8 @@ class SimulatorSource:
         self._frames += 1
         height, width = view.depth_m.shape
         top, left = self._random.integers(_NOISE_MARGIN_PX, size=2)
-        coded = view.coded + self._noise[top : top + height, left : left + width]
+        noise = self._noise[top : top + height, left : left + width]
+        coded = view.coded + self._sensor.deviation(view.coded) * noise
         return Capture(coded, view.depth_m, view.sharp)
 
     def close(self) -> None:

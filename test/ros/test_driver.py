@@ -21,6 +21,7 @@ from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
+from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.sources import (
     DeviceSource,
     PictureSource,
@@ -86,7 +87,7 @@ def test_the_simulator_publishes_frames_and_the_truth(ros, camera_file):
     assert depths[0].encoding == "32FC1"
     depth = array_from_image(depths[0])
     assert depth.shape == (HEIGHT, WIDTH)
-    assert 2.0 < depth.min() < depth.max() < 5.2
+    assert 0.63 < depth.min() < depth.max() < 1.53
     assert infos[0].k[0] == pytest.approx(CAMERA["focal_length_px"])
     assert (infos[0].k[2], infos[0].k[5]) == ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
@@ -344,7 +345,7 @@ def test_sources_by_name(camera_file, folder):
 
 def test_the_simulators_noise_is_as_asked(camera_file):
     camera = load_camera(camera_file)
-    quiet, noisy = (SimulatorSource(camera, 10.0, noise) for noise in (0.0, 0.01))
+    quiet, noisy = (SimulatorSource(camera, 10.0, SensorModel(noise)) for noise in (0.0, 0.01))
     for _ in range(3):
         clean, view = quiet.read(), noisy.read()
         difference = view.frame - clean.frame

@@ -8,13 +8,17 @@ from coded_aperture_ros.cli import simulate
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io import read_image, write_depth, write_image
 from coded_aperture_ros.optics import Camera, Mask, load_camera
+from coded_aperture_ros.optics.camera_file import load_sensor
+from coded_aperture_ros.optics.pupil import largest_extent_mm
 from coded_aperture_ros.simulation import (
+    MOTORCYCLE_RANGE_M,
     PanningScene,
     Scene,
     SensorModel,
     motorcycle_scene,
     render_coded_frame,
 )
+from coded_aperture_ros.simulation.exposure import Exposure, sensor_of_camera_file
 
 
 def small_scene():
@@ -29,7 +33,7 @@ def small_camera():
 
 def test_motorcycle_has_the_depths_of_its_calibration():
     pytest.importorskip("skimage")
-    scene = motorcycle_scene()
+    scene = motorcycle_scene(1.2, model=1.0)
     assert scene.image.shape == (600, 889, 3)
     assert scene.image.dtype == np.float32
     assert 0 <= scene.image.min() < scene.image.max() <= 1
@@ -42,13 +46,41 @@ def test_demo_camera_fits_the_demo_scene(checkout):
     pytest.importorskip("skimage")
     scene = motorcycle_scene()
     camera = load_camera(checkout / "config" / "demo_camera.yaml")
+    near_m, far_m = scene.depth_m.min(), scene.depth_m.max()
+    assert near_m == pytest.approx(2.1104 / 3.3, abs=1e-3)
+    assert 0.98 * near_m < MOTORCYCLE_RANGE_M[0] < near_m
+    assert far_m < MOTORCYCLE_RANGE_M[1] < 1.02 * far_m
     assert camera.focal_length_px == pytest.approx(scene.focal_length_px, rel=1e-3)
     smallest, largest = camera.blur_range_px(scene.depth_m.min(), scene.depth_m.max())
     assert 2.5 < smallest < 4
-    # What the refinement has seen often.
-    assert 16 < largest < 18.5
+    # What the check of fit knows.
+    assert 16 < largest < 22
     assert scene.depth_m.shape[0] > camera.image_height
     assert scene.depth_m.shape[1] > camera.image_width
+
+
+def test_demo_camera_can_be_bought(checkout):
+    config = checkout / "config"
+    reference = load_camera(config / "cameras" / "cmount_25mm_f1.4.yaml")
+    camera = load_camera(config / "demo_camera.yaml")
+    assert (camera.focal_length_mm, camera.pupil_mm) == (25, reference.pupil_mm)
+    assert camera.mask_extent_mm <= largest_extent_mm(camera.mask, camera.pupil_mm)
+    assert camera.psf_diffraction_px > 0
+
+
+def test_noise_of_a_sensor_is_that_of_300_lux_at_20_hz(checkout, tmp_path):
+    path = checkout / "config" / "demo_camera.yaml"
+    camera = load_camera(path)
+    model = sensor_of_camera_file(path, camera, bits=12)
+    exposure = Exposure.with_sensor(load_sensor(path), 300, 50)
+    assert (model.noise, model.gain) == exposure.noise(camera)
+    grey = np.full((200, 200), 0.25, np.float32)
+    exposed = model.expose(grey, np.random.default_rng(0))
+    electrons = exposure.electrons(camera)
+    assert exposed.std() == pytest.approx(np.sqrt(0.25 / electrons), rel=0.02)
+    other = tmp_path / "camera.yaml"
+    other.write_text(path.read_text().split("sensor:")[0])
+    assert sensor_of_camera_file(other, camera) == SensorModel(0.002)
 
 
 def test_example_camera_is_that_of_the_thesis(checkout):

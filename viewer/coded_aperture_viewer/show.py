@@ -27,6 +27,8 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
+from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
 from coded_aperture_ros.sources import PictureSource, check_source, open_source
 from coded_aperture_viewer.guard import Gate, request_logger
 from coded_aperture_viewer.keeping import Keeping
@@ -35,11 +37,7 @@ from coded_aperture_viewer.server import Server
 from coded_aperture_viewer.settings import LookConfig, RunConfig, Settings
 
 _DEMO_CAMERA = "demo_camera.yaml"
-# Depth range of the simulated scene, m.
-_DEMO_RANGE_M = (2.05, 5.1)
 _LOCAL = "127.0.0.1"
-# Standard deviation of the simulated sensor's noise, linear light.
-_SIMULATED_NOISE = 0.002
 # Connections to pages that do not end by themselves are closed after so long, s.
 _SHUTDOWN_TIMEOUT_S = 0.5
 
@@ -108,7 +106,8 @@ def make_server(options: Options) -> tuple[Server, str]:
     check_source(options.source)  # before anything else is read: it is named first
     camera = load_camera(path)
     bank, camera, (near_m, far_m) = _bank(options, path, camera)
-    source = open_source(options.source, camera, options.rate, noise=_SIMULATED_NOISE)
+    sensor = sensor_of_camera_file(path, camera)
+    source = open_source(options.source, camera, options.rate, sensor=sensor)
     deblur = DeblurConfig()
     with naming(str(path)):
         pipeline = FramePipeline(bank, camera, options.depth, deblur)
@@ -133,7 +132,7 @@ def _bank(
             camera = check_setting(bank, camera)
         return bank, camera, depth_range or _depth_range(bank, camera)
     if options.camera is None:
-        depth_range = depth_range or _DEMO_RANGE_M
+        depth_range = depth_range or MOTORCYCLE_RANGE_M
     if depth_range is None:
         raise InputError("no depth range: give --depth-range NEAR FAR or --bank FILE")
     near_m, far_m = depth_range

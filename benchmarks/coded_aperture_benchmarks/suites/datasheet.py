@@ -310,7 +310,7 @@ SUITE = Suite(
     examples="""examples:
   a camera file, for a range:
     python -m coded_aperture_benchmarks datasheet --camera config/demo_camera.yaml \\
-        --depth-range 2.1 5.1
+        --depth-range 0.63 1.53
   the page of the reference cameras, with its pictures:
     python -m coded_aperture_benchmarks datasheet --page docs/data_sheets.md \\
         --scenes $CODED_APERTURE_DATA/real_scenes

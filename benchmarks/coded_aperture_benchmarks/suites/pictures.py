@@ -64,7 +64,7 @@ class Picture:
 @lru_cache(maxsize=1)
 def _picture(folder: Path, number: int) -> Picture:
     if number == 0:
-        motorcycle, part = motorcycle_scene(1.0), np.s_[:480, :640]
+        motorcycle, part = motorcycle_scene(1.0, model=1.0), np.s_[:480, :640]
         return Picture.of("motorcycle", motorcycle.image[part], motorcycle.depth_m[part])
     if number <= len(_OF_ROOM):
         frame = _OF_ROOM[number - 1]
