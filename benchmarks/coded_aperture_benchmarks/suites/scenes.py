@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.random_scenes import FIRST_SEED, RandomScene
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene, Rods, scene_camera
+from coded_aperture_benchmarks.datasets.recording import recording
 from coded_aperture_benchmarks.methods.depth import Bank, CameraBank, predictor
 from coded_aperture_benchmarks.methods.identification import regularizations
 from coded_aperture_benchmarks.metrics.dense import (
@@ -252,6 +253,10 @@ def _row(cell: Cell, name: str, maps: Maps) -> Row:
         "noise_estimated": mean_of(maps.noise, 6),
         "seconds": mean_of(maps.seconds, 3),
     }
+    if isinstance(cell.scene, FolderScene):
+        near_m, far_m = float(np.nanmin(truth)), float(np.nanmax(truth))
+        found = recording(maps.cameras[0], near_m, far_m)
+        row["recording"] = found and {"camera": found.camera_text, "range": found.range_text}
     if maps.rods:
         row["rods"] = score_rods(list(np.abs(depth - truth) / truth), maps.rods)
     return row

@@ -45,7 +45,8 @@ def text_of(results: Row) -> str:
     }
     title = f"confidence against share of pixels right to {100 * RIGHT_WITHIN:g} %"
     parts.append(f"{title}\n{columns(rows, reliability)}")
-    return "\n\n".join([*parts, *_dense_text(rows, names), _summary(rows, names)])
+    parts += [*_dense_text(rows, names), _summary(rows, names)]
+    return "\n\n".join([*parts, *_page_text([row for row in rows if "recording" in row])])
 
 
 def _dense_text(rows: list[Row], names: dict[str, str]) -> list[str]:
@@ -117,6 +118,34 @@ def _summary(rows: list[Row], names: dict[str, str]) -> str:
         f"{100 * SHARE_WITHIN:g} %, their coverage; published pixels within the stated standard "
         f"deviation\n{columns(worst_first, described)}"
     )
+
+
+def _page_text(rows: list[Row]) -> list[str]:
+    """Table of docs/accuracy.md, with a camera and distances for every scene; worst first."""
+    if not rows:
+        return []
+    lines = [
+        "| scene | camera, field of view | range (scale) | published | median error of it | "
+        "within 10 % | all pixels: median error | within 10 % | near edges, within 10 % |",
+        "|---" * 9 + "|",
+    ]
+    for row in sorted(rows, key=lambda row: order(_dense(row)["within_10_percent"])):
+        published, everywhere = row["confident"]["all"], row["everywhere"]["all"]
+        exists = row["recording"] or {"camera": "none", "range": "-"}
+        cells = (
+            *(row["scene"], exists["camera"], exists["range"]),
+            f"{_per_cent(published['coverage'])} %",
+            *(_of_score(published), _of_score(everywhere)),
+            f"{_per_cent(_dense(row)['within_10_percent_near_edges'])} %",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return ["as in docs/accuracy.md\n" + "\n".join(lines)]
+
+
+def _of_score(score: Row) -> str:
+    if score["median_error"] is None:
+        return "- | -"
+    return f"{100 * score['median_error']:.1f} % | {100 * score['within_10_percent']:.0f} %"
 
 
 def _dense(row: Row) -> Row:
