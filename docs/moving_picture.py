@@ -1,4 +1,4 @@
-"""Make the moving picture of the README: a simulated camera pans over a scene.
+"""Make the moving picture of the README, and the numbers below it: a camera pans over a scene.
 
 python docs/moving_picture.py docs/images/demo.webp
 """
@@ -16,9 +16,11 @@ from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io.depth_picture import depth_picture
 from coded_aperture_ros.io.panels import panels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.metrics.errors import psnr_db
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, PanningScene, motorcycle_scene
 from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
+from coded_aperture_ros.simulation.scene import SimulatedFrame
 
 NEAR_M, FAR_M = MOTORCYCLE_RANGE_M
 FRAMES, PERIOD_S, WIDTH = 16, 12.0, 320
@@ -35,6 +37,15 @@ def small(picture: np.ndarray) -> np.ndarray:
     return cv2.resize(picture, (WIDTH, height), interpolation=cv2.INTER_AREA)
 
 
+def measured(view: SimulatedFrame, depth_m: np.ndarray, sharp: np.ndarray) -> tuple[float, ...]:
+    """Share published, median error, share of it within 10 %; PSNR coded and all in focus, dB."""
+    known = np.isfinite(depth_m)
+    error = np.abs(depth_m - view.depth_m)[known] / view.depth_m[known]
+    right = float((error <= 0.1).mean())
+    gain = psnr_db(view.coded, view.sharp), psnr_db(sharp, view.sharp)
+    return (float(known.mean()), float(np.median(error)), right, *gain)
+
+
 def main() -> None:
     """Process the frames in their order, as the nodes do, and write one picture of all."""
     path = share_directory() / "config" / "demo_camera.yaml"
@@ -42,11 +53,12 @@ def main() -> None:
     bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, 30)
     scene = PanningScene(motorcycle_scene(), camera, sensor_of_camera_file(path, camera), PERIOD_S)
     pipeline = FramePipeline(bank, camera, DepthConfig(temporal_frames=4.0))
-    pictures = []
+    pictures, figures = [], []
     for index in range(FRAMES):
         view = scene.frame(index * PERIOD_S / FRAMES)
         estimate = pipeline(view.coded)
         sharp = pipeline.deblur(view.coded, estimate)
+        figures.append(measured(view, estimate.depth_m, sharp))
         rows = [
             [
                 ("coded frame", shown(view.coded)),
@@ -59,6 +71,11 @@ def main() -> None:
         ]
         pictures.append(Image.fromarray(panels(rows)))
     pipeline.close()
+    published, error, right, coded_db, sharp_db = np.mean(figures, axis=0)
+    sys.stdout.write(
+        f"depth at {published:.0%} of the pixels, median error {error:.1%}, {right:.0%} within "
+        f"10 %; {coded_db:.1f} dB coded, {sharp_db:.1f} dB all in focus (means of {FRAMES} frames)\n"
+    )
     first, *others = pictures
     first.save(
         sys.argv[1],

@@ -21,9 +21,9 @@ EXAMPLES = """examples:
   a mask of a few equal holes, without a bank:
     coded_aperture depth --method two_pixel --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o two_pixel.npy
-  two frames of one view, the second with the lens focused at 2 m:
+  two frames of one view, the second with the lens focused at 0.6 m:
     coded_aperture depth --bank bank.npz --camera camera.yaml coded.png \\
-        --refocused-frame refocused.png --refocused-to 2 -o depth.npy
+        --refocused-frame refocused.png --refocused-to 0.6 -o depth.npy
   something moves during the exposure: its motion, px, as [row, column, right and down]:
     coded_aperture depth --bank bank.npz --motion coded.png -o moving.npy
 """

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
+from coded_aperture_benchmarks.datasets.recording import recording
 from coded_aperture_benchmarks.methods.depth import CameraBank, predict
 from coded_aperture_benchmarks.metrics.relative import published_shares, relative_error
 from coded_aperture_benchmarks.rows import grouped, mean_of
@@ -103,6 +105,7 @@ def measure(cell: Cell) -> list[Row]:
         _mask(cell.mask), _FOCAL_LENGTH_PX, size, (near_m, far_m), cell.blur_px, cell.side
     )
     bank = CameraBank(camera, 0.95 * near_m, 1.05 * far_m, _LEVELS)
+    exists = recording(camera, near_m, far_m)
     light = render_coded_frame(picture.light, picture.depth_m, camera, aperture_blocks=2)
     random = np.random.default_rng(0)
     found = []
@@ -112,6 +115,9 @@ def measure(cell: Cell) -> list[Row]:
         if recorded == "8 bits":
             frame = decode(np.rint(255 * encode(frame, SRGB)) / 255, SRGB).astype(np.float32)
         kind = {"picture": picture.name, "mask": cell.mask, "side": cell.side}
+        if exists is not None:
+            kind["near_m"], kind["far_m"] = round(exists.near_m, 3), round(exists.far_m, 3)
+            kind["camera"] = exists.camera_text
         estimate = predict(frame, bank, DepthConfig(confidence_threshold=0.0), camera)
         scores = _score(estimate, picture)
         found.append({**kind, "recorded": recorded, "blur_px": cell.blur_px, **scores})
@@ -142,6 +148,7 @@ def _summaries(rows: list[Row]) -> Iterator[Row]:
         yield {
             "mask": mask,
             "frames": len(some),
+            **_recorded(some),
             "alarms": sum(not row["fits"] for row in some),
             "worst": worst,
             **{name: mean_of([row[name] for row in some], 4) for name in ("right", "coverage")},
@@ -152,10 +159,21 @@ def _summaries(rows: list[Row]) -> Iterator[Row]:
         }
 
 
+def _recorded(rows: list[Row]) -> Row:
+    """Camera that could have recorded frames of a mask, and their distances, m."""
+    some = [row for row in rows if "camera" in row]
+    if not some:
+        return {"camera": "none", "near_m": math.nan, "far_m": math.nan}
+    near_m, far_m = min(row["near_m"] for row in some), max(row["far_m"] for row in some)
+    return {"camera": some[0]["camera"], "near_m": near_m, "far_m": far_m}
+
+
 def _text(results: Row) -> str:
     described = {
         "mask": "{mask}",
         "frames": "{frames}",
+        "camera": "{camera}",
+        "range": "{near_m:.2g} to {far_m:.2g} m",
         "all: within 10 %": "{right:.1%}",
         "confident: within 10 %": "{right_confident:.1%}",
         "coverage": "{coverage:.1%}",
