@@ -74,7 +74,7 @@ def main() -> None:
     published, error, right, coded_db, sharp_db = np.mean(figures, axis=0)
     sys.stdout.write(
         f"depth at {published:.0%} of the pixels, median error {error:.1%}, {right:.0%} within "
-        f"10 %; {coded_db:.1f} dB coded, {sharp_db:.1f} dB all in focus (means of {FRAMES} frames)\n"
+        f"10 %; {coded_db:.1f} dB coded, {sharp_db:.1f} dB all in focus ({FRAMES} frames)\n"
     )
     first, *others = pictures
     first.save(
