@@ -4,8 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-
 from coded_aperture_benchmarks.datasets.recording import FULL_FRAME, Kind, recording
+
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.optics.pupil import exceeds_pupil
 
@@ -17,7 +17,7 @@ CAMERAS = [
     ("zhou", 46.0, 640.0, 1.13),
     ("disc", 4.0, 1200.0, 0.5),
     ("annulus", 26.8, 700.0, 0.75),
-    ("four_wide", 84.0, 370.0, 1.0),
+    ("four_wide", 84.0, 500.0, 1.0),
 ]
 
 
