@@ -109,13 +109,12 @@ def open_source(
     if not text:
         raise InputError("parameter source is empty: use simulator, a camera index or a path")
     if _is_device(text):
-        address = int(text) if text.isdecimal() else text
         config = device or DeviceConfig()
         if not (config.width and config.height):
             config = dataclasses.replace(
                 config, width=camera.image_width, height=camera.image_height
             )
-        return DeviceSource(address, config, rate_hz)
+        return DeviceSource(int(text) if text.isdecimal() else text, config, rate_hz)
     # The sender of a stream chooses its size and rate.
     if _is_stream(text):
         return DeviceSource(text)
