@@ -114,7 +114,7 @@ def measure(cell: Cell) -> list[Row]:
         frame = np.clip(frame, 0, 1)
         if recorded == "8 bits":
             frame = decode(np.rint(255 * encode(frame, SRGB)) / 255, SRGB).astype(np.float32)
-        kind = {"picture": picture.name, "mask": cell.mask, "side": cell.side}
+        kind: Row = {"picture": picture.name, "mask": cell.mask, "side": cell.side}
         if exists is not None:
             kind["near_m"], kind["far_m"] = round(exists.near_m, 3), round(exists.far_m, 3)
             kind["camera"] = exists.camera_text

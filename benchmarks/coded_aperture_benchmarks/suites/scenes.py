@@ -238,7 +238,7 @@ def _row(cell: Cell, name: str, maps: Maps) -> Row:
     depth, truth = maps.depth_m, maps.truth_m
     threshold = cell.config.confidence_threshold
     reliability = maps.reliability()
-    row = {
+    row: Row = {
         "scene": name,
         "mask": cell.mask,
         "learned_from": "planes" if cell.planes else "camera",
