@@ -24,6 +24,7 @@ _LEGEND = "**The demo's camera**"
 _REFERS = re.compile(r"the demo's camera|of (?:this|the first) table", re.IGNORECASE)
 # What counts as right, here 5 or 10 %, is no result.
 _LIMIT = re.compile(r"(?:right to|within) (?:5|10) %|at (?:most|least) \d[\d.]* %", re.IGNORECASE)
+_OF_OTHERS = re.compile(r"\((?:[^()]*\W)?(?:makers?|authors)\b[^()]*\)")
 # Columns whose cells hold for the others of their row.
 _CONDITIONS = re.compile(r"camera|lens|range|distance|view|noise|scene", re.IGNORECASE)
 
