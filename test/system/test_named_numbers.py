@@ -25,7 +25,7 @@ _REFERS = re.compile(r"the demo's camera|of (?:this|the first) table", re.IGNORE
 # What counts as right, here 5 or 10 %, is no result.
 _LIMIT = re.compile(r"(?:right to|within) (?:5|10) %|at (?:most|least) \d[\d.]* %", re.IGNORECASE)
 _OF_OTHERS = re.compile(r"\((?:[^()]*\W)?(?:makers?|authors)\b[^()]*\)")
-# Columns whose cells hold for the others of their row.
+# Columns whose cells hold for the others of their row, and rows for those of their column.
 _CONDITIONS = re.compile(r"camera|lens|range|distance|view|noise|scene", re.IGNORECASE)
 
 
@@ -42,14 +42,13 @@ def cells(row):
 def cells_of(table, caption):
     """Yield each cell of a table: what it says, and that with all that holds for it."""
     head, _, *rows = map(cells, table.splitlines())
-    for label, *values in rows:
-        named = [
-            value
-            for title, value in zip(head[1:], values, strict=True)
-            if _CONDITIONS.search(title)
-        ]
-        for title, value in zip(head[1:], values, strict=True):
-            said = f"{label}: {title}: {value}"
+    of_columns = [row for row in rows if _CONDITIONS.search(row[0])]
+    of_row = [column for column, title in enumerate(head) if column and _CONDITIONS.search(title)]
+    for row in rows:
+        for column, value in enumerate(row[1:], 1):
+            said = f"{row[0]}: {head[column]}: {value}"
+            named = [f"{other[0]}: {other[column]}" for other in of_columns]
+            named += [row[other] for other in of_row]
             yield value, said, " ".join([said, *named, caption])
 
 
@@ -113,6 +112,8 @@ _ALL = "25 mm f/1.4, 29 x 21 degrees, 0.6 to 1.5 m, 300 lux"
         ("Right are those within 10 %, sure those right to 5 %.", None),
         ("| scene | view | range | error |\n|---|---|---|---|\n"
          "| desk | 44 degrees | 1 to 2 m | 2 % |\n\nBy f/2.", ["noise"]),
+        ("| | hq_6mm | D435 |\n|---|---|---|\n| range | 1 to 2 m | 1 to 3 m |\n"
+         "| view, degrees | 31 x 23 | 72 x 49 |\n| error | 2 % | 2 % (maker) |\n\n300 lux.", None),
         ("Put a page at 0.5 m, and open the lens.", None),
     ],
 )  # fmt: skip
