@@ -4,14 +4,20 @@ import numpy as np
 
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import PanningScene, SensorModel, motorcycle_scene
-from coded_aperture_ros.simulation.scene import MOTORCYCLE_SCALE
+from coded_aperture_ros.simulation.scene import MOTORCYCLE_MODEL, MOTORCYCLE_SCALE
 from coded_aperture_ros.sources.source import Capture
 
 _NOISE_MARGIN_PX = 128
+# Size of the scene per metre of focus distance: beyond the focus from 1.12 to 2.67 times as far, as
+# before the demo's camera, which focuses at 0.57 m; or before it, up to 0.9 times as far.
+_MODEL_BEYOND = MOTORCYCLE_MODEL / 0.57
+_MODEL_BEFORE = 0.9 / 5.02
 
 
 class SimulatorSource:
-    """Real scene that moves in front of a simulated camera, with ground truth.
+    """Model of a real scene that moves in front of a simulated camera, with ground truth.
+
+    It is as large as suits the camera's focus: at the same distances relative to it as the demo's.
 
     Parameters
     ----------
@@ -36,7 +42,9 @@ class SimulatorSource:
     def __init__(self, camera: Camera, rate_hz: float, sensor: SensorModel) -> None:
         # Leaves the camera room to move about in, whatever its resolution.
         scale = MOTORCYCLE_SCALE * max(camera.image_width / 640, camera.image_height / 480)
-        self._scene = PanningScene(motorcycle_scene(scale), camera)
+        per_metre = _MODEL_BEFORE if camera.side == "near" else _MODEL_BEYOND
+        model = per_metre * camera.focus_distance_m
+        self._scene = PanningScene(motorcycle_scene(scale, model), camera)
         self._rate_hz = rate_hz
         self._frames = 0
         self._random = np.random.default_rng(0)

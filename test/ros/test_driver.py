@@ -3,6 +3,7 @@
 import sys
 import threading
 import time
+from itertools import pairwise
 from types import SimpleNamespace
 
 import cv2
@@ -19,6 +20,7 @@ from waiting import scaled, wait_until
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.optics import load_camera
+from coded_aperture_ros.optics.camera_file import camera_from_mapping
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
 from coded_aperture_ros.ros.messages import stamp_ns
 from coded_aperture_ros.simulation import SensorModel
@@ -87,7 +89,7 @@ def test_the_simulator_publishes_frames_and_the_truth(ros, camera_file):
     assert depths[0].encoding == "32FC1"
     depth = array_from_image(depths[0])
     assert depth.shape == (HEIGHT, WIDTH)
-    assert 0.63 < depth.min() < depth.max() < 1.53
+    assert 1.11 * 1.9 < depth.min() < depth.max() < 2.68 * 1.9
     assert infos[0].k[0] == pytest.approx(CAMERA["focal_length_px"])
     assert (infos[0].k[2], infos[0].k[5]) == ((WIDTH - 1) / 2, (HEIGHT - 1) / 2)
 
@@ -352,3 +354,38 @@ def test_the_simulators_noise_is_as_asked(camera_file):
         assert difference.std() == pytest.approx(0.01, rel=0.05)
         assert abs(difference.mean()) < 0.001
         np.testing.assert_array_equal(view.depth_m, clean.depth_m)
+
+
+@pytest.mark.parametrize(("changes", "nearest", "farthest"), [
+    ({"focus_distance_m": 0.57}, 0.639, 1.521),
+    ({"focus_distance_m": 1.3676}, 1.53, 3.65),
+    ({"focus_distance_m": 6.0, "side": "near"}, 2.2, 5.41),
+])  # fmt: skip
+def test_the_simulators_scene_lies_on_the_cameras_side_of_its_focus(changes, nearest, farthest):
+    camera = camera_from_mapping({**CAMERA, **changes})
+    depth_m = SimulatorSource(camera, 10.0, SensorModel()).read().depth_m
+    assert nearest <= depth_m.min() < depth_m.max() <= farthest
+
+
+LIGHT = {"width": 640, "height": 480, "full_well": 2000, "read_noise": 40, "binning": 1}
+
+
+@pytest.mark.parametrize(("sensor", "given", "noise"), [
+    (None, {}, (0.0012, 0.0018)),  # of the grey of three channels with 0.002
+    (None, {"simulation.noise": 0.0}, (0.0, 0.0)),
+    (None, {"simulation.noise": 0.02}, (0.012, 0.018)),
+    (LIGHT, {}, (0.012, 0.03)),  # read noise of 40 of 2000 electrons, and shot noise
+    (LIGHT, {"simulation.noise": 0.002}, (0.0012, 0.0018)),
+])  # fmt: skip
+def test_the_simulators_noise_is_that_of_the_sensor_unless_it_is_given(
+    ros, tmp_path, sensor, given, noise
+):
+    path = tmp_path / "camera.yaml"
+    path.write_text(yaml.safe_dump({**CAMERA, **({"sensor": sensor} if sensor else {})}))
+    images = ros.subscribe("image_raw", Image)
+    drive(ros, path, "simulator", encoding="mono16", **given)
+    assert wait_until(lambda: len(images) > 4)
+    frames = [array_from_image(image) / 65535 for image in images[:5]]
+    # The scene hardly moves at first.
+    least = min(float(np.std(after - before)) for before, after in pairwise(frames)) / np.sqrt(2)
+    assert noise[0] <= least <= noise[1]
