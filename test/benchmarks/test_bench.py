@@ -263,6 +263,7 @@ def test_pictures_are_seen_by_many_cameras(capsys, tmp_path):
         assert row["fits"] and row["picture"] == "motorcycle"
         assert row["right_confident"] > 0.85 and row["coverage"] > 0.7
     assert "motorcycle" in pictures.SUITE.text({"cells": rows})
+    assert "35 mm f/1.4, full frame" in pictures.SUITE.text({"cells": rows})
 
 
 def test_a_lens_is_measured_with_planes(capsys, folder, tmp_path):
@@ -306,6 +307,9 @@ def test_depth_of_a_scene_is_scored(capsys, folder):
     assert (table.status, table.err) == (0, "")
     assert "near edges" in table.out
     assert "worst first" in table.out
+    recorded = cell["recording"]
+    assert f"| table | {recorded['camera']} | {recorded['range']} | " in table.out
+    assert "f/1.4" in recorded["camera"]
 
 
 RANDOM = ("bench", "accuracy", "scenes", "--size", "128x96", "--levels", 8, "--jobs", 1)
