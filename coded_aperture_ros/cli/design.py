@@ -82,6 +82,14 @@ class Arguments:
         (),
         written="--masks MASK",
     )
+    binning: tuple[int, ...] = argument(
+        "try each camera whose file describes its sensor with these binnings too: a smaller one "
+        "has more pixels and takes as much longer",
+        (),
+        written="--binning N",
+        minimum=1,
+        maximum=64,
+    )
     no_reference: bool = argument("rank CAMERA alone", False, written="--no-reference")
     plot: str | None = argument(
         "figure of error and fill over distance (PNG)", None, written="--plot PNG", is_output=True
@@ -125,7 +133,15 @@ _RULES = (
     only_with("CAMERA", "--for"),
     *(
         only_with(name, "--for")
-        for name in ("--view-deg", "--lux", "--rate-hz", "--masks", "--no-reference", "--plot")
+        for name in (
+            "--view-deg",
+            "--lux",
+            "--rate-hz",
+            "--masks",
+            "--binning",
+            "--no-reference",
+            "--plot",
+        )
     ),
 )
 
@@ -139,6 +155,7 @@ def run(args: Arguments) -> int:
                 wanted,
                 args.cameras,
                 args.masks,
+                args.binning,
                 args.no_reference,
                 args.plot,
                 args.output,

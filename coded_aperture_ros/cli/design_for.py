@@ -15,7 +15,9 @@ from coded_aperture_ros.core.figures import save_figure
 from coded_aperture_ros.core.files import atomic_outputs, check_output
 from coded_aperture_ros.core.processes import map_in_processes
 from coded_aperture_ros.core.text_table import columns
+from coded_aperture_ros.design.binning import binned_entries, with_binnings
 from coded_aperture_ros.design.choice import (
+    Offer,
     Outcome,
     Trial,
     Wanted,
@@ -32,6 +34,8 @@ from coded_aperture_ros.optics import MASK_NAMES, load_mask
 from coded_aperture_ros.optics.camera_file import camera_entries
 
 _NUMBERS = "design.json"
+# Columns of the table where binnings are tried.
+_FRAME = {"frame": "{image_width} x {image_height}", "pixels": "{pixels:.3g} x"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,6 +45,7 @@ class Request:
     wanted: Wanted
     cameras: tuple[str, ...]  # beside the reference cameras
     masks: tuple[str, ...]  # instead of the camera files'
+    binnings: tuple[int, ...]  # beside the camera files'
     only: bool  # no reference cameras
     plot: str | None
     output: Path | None
@@ -54,13 +59,16 @@ def run_for(request: Request) -> int:
     paths = list(dict.fromkeys([*map(Path, request.cameras), *reference]))
     if not paths:
         raise InputError("no camera to choose from: name camera files, or leave out --no-reference")
-    _check_outputs(request, paths)
+    offers, warnings = _offers(request, paths)
+    _check_outputs(request, offers)
     start = time.perf_counter()
-    trials, warnings = _trials(request, paths)
+    trials, refused = _trials(request, offers)
+    warnings += refused
     outcomes = ranked(map_in_processes(measure, trials, request.jobs, "camera"))
     rows = [row(one) for one in outcomes]
     summary = {
         **dataclasses.asdict(request.wanted),
+        "binnings": list(request.binnings),
         "most_error": MOST_ERROR,
         "least_fill": LEAST_FILL,
         "cameras": rows,
@@ -74,30 +82,40 @@ def run_for(request: Request) -> int:
             numbers = json.dumps(summary, allow_nan=False)
             output(request.output / _NUMBERS).write_text(numbers + "\n", encoding="utf-8")
             for one in outcomes:
-                path = output(request.output / one.trial.offer.path.name)
+                path = output(request.output / one.trial.offer.file_name)
                 path.write_text(_camera_text(one, request.masks), encoding="utf-8")
     return print_summary(summary, _text, as_json=request.as_json, warnings=warnings)
 
 
-def _check_outputs(request: Request, paths: Sequence[Path]) -> None:
-    inputs = [file for path in paths for file in input_files(camera=str(path))]
+def _offers(request: Request, paths: Sequence[Path]) -> tuple[list[Offer], list[str]]:
+    """Offers of all camera files with all binnings, and why some have none."""
+    found: list[Offer] = []
+    refused: list[str] = []
+    for path in paths:
+        offers, reasons = with_binnings(load_offer(path), request.binnings)
+        found += offers
+        refused += reasons
+    return found, refused
+
+
+def _check_outputs(request: Request, offers: Sequence[Offer]) -> None:
+    inputs = [file for one in offers for file in input_files(camera=str(one.path))]
     if request.plot is not None:
         check_output(request.plot, inputs, (".png",))
     if request.output is not None:
-        names = [_NUMBERS, *(path.name for path in paths)]
+        names = [_NUMBERS, *(one.file_name for one in offers)]
         doubled = {name for name in names if names.count(name) > 1}
         if doubled:
             raise InputError(f"{doubled.pop()}: two camera files have this name: rename one")
         check_output([request.output / name for name in names], inputs)
 
 
-def _trials(request: Request, paths: Sequence[Path]) -> tuple[list[Trial], list[str]]:
+def _trials(request: Request, offers: Sequence[Offer]) -> tuple[list[Trial], list[str]]:
     """Trials of all cameras, and why some have none."""
     masks = [load_mask(name) for name in request.masks]
     found: list[Trial] = []
     refused: list[str] = []
-    for path in paths:
-        offer = load_offer(path)
+    for offer in offers:
         try:
             found += trials_for(offer, request.wanted, masks)
         except InputError as error:
@@ -108,9 +126,12 @@ def _trials(request: Request, paths: Sequence[Path]) -> tuple[list[Trial], list[
 
 
 def _camera_text(outcome: Outcome, masks: Sequence[str]) -> str:
-    """Camera file with the mask, of some names and files or its own, and the focus."""
+    """Camera file with the mask, of some names and files or its own, the focus, the binning."""
     camera = outcome.trial.camera
-    entries = camera_entries(outcome.trial.offer.path)
+    offer = outcome.trial.offer
+    entries = camera_entries(offer.path)
+    if offer.binning is not None:
+        entries = binned_entries(entries, offer.binning)
     for name in masks:
         if load_mask(name) == camera.mask:
             known = name in MASK_NAMES
@@ -137,6 +158,7 @@ def _text(summary: Summary) -> str:
             summary["cameras"],
             {
                 "camera": "{camera}",
+                **(_FRAME if summary["binnings"] else {}),
                 "range": _range,
                 "error": lambda row: _per_cent(row["error"], 1),
                 "fill": lambda row: _per_cent(row["fill"], 0),

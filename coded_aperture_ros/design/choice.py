@@ -75,6 +75,9 @@ class Offer:
     sensor: Sensor
     price_class: str = ""  # of `PRICE_CLASSES`; empty if unknown
     depth_range_m: tuple[float, float] | None = None  # that it states
+    binning: int | None = None  # None: the camera file describes no sensor
+    pixels: float = 1.0  # of a frame, in multiples of the camera file's
+    file_name: str = ""  # of the camera file that is written
 
     @property
     def view_deg(self) -> tuple[float, float]:
@@ -121,11 +124,20 @@ def load_offer(path: Path) -> Offer:
     camera = load_camera(path)
     entry = read_yaml(path, f"camera file {path}").get("reference", {})
     known = entry if isinstance(entry, dict) else {}
-    sensor = load_sensor(path) or Sensor()
+    sensor = load_sensor(path)
     price = str(known.get("price_class", ""))
     stated = known.get("depth_range_m")
     range_m = None if stated is None else (float(stated[0]), float(stated[1]))
-    return Offer(path, str(known.get("name", path.stem)), camera, sensor, price, range_m)
+    return Offer(
+        path,
+        str(known.get("name", path.stem)),
+        camera,
+        sensor or Sensor(),
+        price,
+        range_m,
+        binning=None if sensor is None else sensor.binning,
+        file_name=path.name,
+    )
 
 
 def view_deg(camera: Camera) -> tuple[float, float]:
@@ -202,16 +214,16 @@ def measure(trial: Trial) -> Outcome:
 
 
 def ranked(outcomes: Sequence[Outcome]) -> list[Outcome]:
-    """Best outcome of every camera, the best camera first.
+    """Best outcome of every camera with every binning, the best one first.
 
     Cameras with the wanted field of view come first; then those that cover most of the range; of
     equal ones, within 5 %, those with right depth at more of all pixels.
     """
-    best: dict[Path, Outcome] = {}
+    best: dict[tuple[Path, int | None], Outcome] = {}
     for one in outcomes:
-        path = one.trial.offer.path
-        if path not in best or _worth(one) > _worth(best[path]):
-            best[path] = one
+        key = one.trial.offer.path, one.trial.offer.binning
+        if key not in best or _worth(one) > _worth(best[key]):
+            best[key] = one
     return sorted(best.values(), key=_worth, reverse=True)
 
 
@@ -265,6 +277,10 @@ def row(outcome: Outcome) -> dict[str, Any]:
     return {
         "camera": trial.offer.name,
         "file": str(trial.offer.path),
+        "binning": trial.offer.binning,
+        "image_width": camera.image_width,
+        "image_height": camera.image_height,
+        "pixels": round(trial.offer.pixels, 3),
         "range_m": None if outcome.range_m is None else [round(z, 3) for z in outcome.range_m],
         "covered": round(outcome.covered, 3),
         "error": round(float(np.median([one.error for one in inside])), 4) if inside else None,
