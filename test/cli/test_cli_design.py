@@ -17,6 +17,7 @@ from waiting import run_python
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.design import design_setting
 from coded_aperture_ros.optics import Mask, camera_from_mapping, load_camera
+from coded_aperture_ros.optics.camera_file import load_sensor
 
 CONTRACT = {
     "levels", "blur_size_near_px", "blur_size_far_px", "hole_blur_near_px", "hole_blur_far_px",
@@ -390,6 +391,11 @@ def small_reference(checkout, folder, name="mine.yaml"):
         (("--for", 1), "expected 2 arguments"),
         (("--for", 1, 2, "--rate-hz", 0), "--rate-hz"),
         (("--for", 1, 2, "--view-deg", 200), "--view-deg"),
+        (("--binning", 2, "--camera", "c.yaml", "--depth-range", 1, 2), "--binning: only with"),
+        (("--for", 1, 2, "--binning"), "--binning"),
+        (("--for", 1, 2, "--binning", 0), "--binning"),
+        (("--for", 1, 2, "--binning", 2, 65), "--binning"),
+        (("--for", 1, 2, "--binning", 1.5), "--binning"),
     ],
 )
 def test_wrong_usage_of_the_choice(capsys, arguments, phrase):
@@ -424,6 +430,15 @@ def test_a_camera_file_is_not_overwritten_by_what_is_chosen(tmp_path, capsys, ch
     assert path.read_text() == before
 
 
+def test_a_binning_does_not_take_the_name_of_another_camera_file(tmp_path, capsys, checkout):
+    files = [small_reference(checkout, tmp_path, f"mine{end}.yaml") for end in ("", "_binning2")]
+    asked = ("--for", 1, 2, *files, "--no-reference", "-o", tmp_path / "chosen")
+    result = call(capsys, "design", *asked, "--binning", 2)
+    assert result.status == 1
+    assert "mine_binning2.yaml: two camera files have this name" in result.err
+    assert not (tmp_path / "chosen").exists()
+
+
 @pytest.mark.slow
 def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkout):
     pytest.importorskip("matplotlib")
@@ -431,13 +446,15 @@ def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkou
     np.save(tmp_path / "mask.npy", np.array(Mask.named("four_hole").transmission))
     masks = ("--masks", tmp_path / "mask.npy")
     asked = ("--for", 1.5, 3.5, path, "--no-reference", "--jobs", 1, "--view-deg", 30, *masks)
+    asked += ("--binning", 8, 4)
     files = ("--plot", tmp_path / "plot.png", "--output", tmp_path / "chosen", "--parents")
     result = call(capsys, "design", *asked, *files)
     assert (result.status, result.err) == (0, "")
-    assert re.search(r"mine +1.50 to 3.50 m ", result.out)
+    assert re.search(r"mine +320 x 240 +1 x +1.50 to 3.50 m ", result.out)
+    assert re.search(r"mine, binning 8 +160 x 120 +0.25 x +1.50 to ", result.out)
     assert "field of view 9.9 of 30 degrees" in result.out  # small frames show less
     assert cv2.imread(str(tmp_path / "plot.png")).shape[1] > 600
-    (row,) = json.loads((tmp_path / "chosen" / "design.json").read_text())["cameras"]
+    row, coarse = json.loads((tmp_path / "chosen" / "design.json").read_text())["cameras"]
     assert row["range_m"] == [1.5, 3.5]
     assert all(one["error"] < 0.03 and one["right"] > 0.8 for one in row["distances"])
     chosen = load_camera(tmp_path / "chosen" / "mine.yaml")
@@ -445,3 +462,7 @@ def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkou
     assert chosen.focus_distance_m == row["focus_distance_m"]
     assert chosen.mask_extent_mm == pytest.approx(row["mask_extent_mm"], abs=0.01)
     assert chosen.blur_range_px(1.5, 3.5)[1] <= 12.1
+    binned = tmp_path / "chosen" / "mine_binning8.yaml"
+    assert load_camera(binned).mask_extent_mm == pytest.approx(coarse["mask_extent_mm"], abs=0.01)
+    assert (load_camera(binned).image_width, load_sensor(binned).binning) == (160, 8)
+    assert load_sensor(tmp_path / "chosen" / "mine.yaml").binning == 4
