@@ -106,7 +106,7 @@ def _check_outputs(request: Request, offers: Sequence[Offer]) -> None:
         names = [_NUMBERS, *(one.file_name for one in offers)]
         doubled = {name for name in names if names.count(name) > 1}
         if doubled:
-            raise InputError(f"{doubled.pop()}: two camera files have this name: rename one")
+            raise InputError(f"{min(doubled)}: two camera files have this name: rename one")
         check_output([request.output / name for name in names], inputs)
 
 

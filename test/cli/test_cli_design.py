@@ -393,9 +393,9 @@ def small_reference(checkout, folder, name="mine.yaml"):
         (("--for", 1, 2, "--view-deg", 200), "--view-deg"),
         (("--binning", 2, "--camera", "c.yaml", "--depth-range", 1, 2), "--binning: only with"),
         (("--for", 1, 2, "--binning"), "--binning"),
-        (("--for", 1, 2, "--binning", 0), "--binning"),
-        (("--for", 1, 2, "--binning", 2, 65), "--binning"),
-        (("--for", 1, 2, "--binning", 1.5), "--binning"),
+        (("--for", 1, 2, "--no-reference", "--binning", 0), "--binning"),
+        (("--for", 1, 2, "--no-reference", "--binning", 2, 65), "--binning"),
+        (("--for", 1, 2, "--no-reference", "--binning", 1.5), "--binning"),
     ],
 )
 def test_wrong_usage_of_the_choice(capsys, arguments, phrase):
