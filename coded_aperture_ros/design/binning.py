@@ -69,6 +69,7 @@ def with_binning(offer: Offer, binning: int) -> Offer:
         sensor=dataclasses.replace(offer.sensor, binning=binning),
         binning=binning,
         pixels=offer.pixels * camera.image_width * camera.image_height / before,
+        magnification=offer.magnification * offer.sensor.binning / binning,
         file_name=f"{offer.path.stem}_binning{binning}{offer.path.suffix}",
     )
 

@@ -71,8 +71,12 @@ class DistanceFigures:
         return self.error <= MOST_ERROR and self.fill >= LEAST_FILL
 
 
-def relief_scene(seed: int, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
-    """Random scene: a slanted wall, and objects before it; `size` is width and height.
+def relief_scene(
+    seed: int, size: tuple[int, int] = SCENE_PX, magnification: float = 1.0
+) -> ReliefScene:
+    """Random scene: a slanted wall, and objects before it, so many times as large in pixels.
+
+    `size` is width and height.
 
     Examples
     --------
@@ -89,7 +93,7 @@ def relief_scene(seed: int, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
     for middle in sorted(random.uniform(0, 0.9, _OBJECTS), reverse=True):
         shape = np.zeros((height, width), np.uint8)
         at = (int(random.integers(width)), int(random.integers(height)))
-        sides = random.uniform(_SMALLEST_PX, _LARGEST_PX, 2) / 2
+        sides = magnification * random.uniform(_SMALLEST_PX, _LARGEST_PX, 2) / 2
         turned = float(random.uniform(0, 180))
         if random.random() < 0.5:
             cv2.ellipse(shape, (at, tuple(2 * sides), turned), 1, -1)
@@ -97,7 +101,7 @@ def relief_scene(seed: int, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
             corners = cv2.boxPoints((at, tuple(2 * sides), turned))
             cv2.fillConvexPoly(shape, corners.astype(np.int32), 1)
         inside = shape > 0
-        slant = random.uniform(-0.1, 0.1) * (x - at[0]) / _LARGEST_PX
+        slant = random.uniform(-0.1, 0.1) * (x - at[0]) / (magnification * _LARGEST_PX)
         place = np.where(inside, middle + slant, place)
         picture = np.where(inside, _surface(random, size), picture)
     return ReliefScene(picture, np.clip(place, 0, 1).astype(np.float32))

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import numpy as np
 import pytest
 import yaml
 
@@ -16,8 +17,9 @@ from coded_aperture_ros.design.choice import (
     ranked,
     reference_files,
     row,
+    trials_for,
 )
-from coded_aperture_ros.design.relief import DistanceFigures
+from coded_aperture_ros.design.relief import DistanceFigures, relief_scene
 from coded_aperture_ros.optics.camera_file import camera_entries, camera_from_mapping
 
 REFERENCES = {path.stem: path for path in reference_files()}
@@ -123,3 +125,26 @@ def test_every_binning_is_a_row_of_its_own():
     assert (first["binning"], first["pixels"], first["range_m"]) == (2, 4.0, [1, 2])
     assert (first["image_width"], first["image_height"]) == (2028, 1520)
     assert (second["binning"], second["pixels"], second["range_m"]) == (4, 1.0, None)
+
+
+def test_the_same_masks_are_tried_with_more_pixels():
+    """Half a mask instead would have twice the diffraction in pixels of half the size."""
+    offer = load_offer(HQ)
+    wanted = Wanted(0.35, 1.0)  # where the blur limits the mask, not the pupil
+    before, after = (
+        [one.camera for one in trials_for(each, wanted)] for each in (offer, with_binning(offer, 2))
+    )
+    assert len(before) == len(after) == 2
+    for coarse, fine in zip(before, after, strict=True):
+        assert coarse.mask_extent_mm < 0.9 * offer.camera.mask_extent_mm
+        assert 1.0 <= fine.mask_extent_mm / coarse.mask_extent_mm < 1.25
+        assert fine.blur_range_px(0.35, 1.0)[1] <= 2.05 * coarse.blur_range_px(0.35, 1.0)[1]
+    coarser = trials_for(with_binning(offer, 8), wanted)
+    assert max(one.camera.blur_range_px(0.35, 1.0)[1] for one in coarser) <= 16.1
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_magnified_scenes_are_the_same_places(seed):
+    place = relief_scene(seed, (160, 120), 0.5).place
+    magnified = relief_scene(seed, (320, 240), 1.0).place[::2, ::2]
+    assert np.mean(np.abs(place - magnified) < 0.02) > 0.95
