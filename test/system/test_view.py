@@ -309,7 +309,8 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
 
         # A slider changes the map.
         await slide(page, "depth.confidence_threshold", 0.0)
-        assert await page.value(seen) > 0.95
+        # The simulator's scene begins at 1.12 m before this camera, the bank at 1.3 m.
+        assert await page.value(seen) > 0.8
         await slide(page, "depth.confidence_threshold", 0.99)
         assert await page.value(seen) < 0.2
         await slide(page, "depth.confidence_threshold", 0.0)
