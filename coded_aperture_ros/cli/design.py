@@ -84,7 +84,7 @@ class Arguments:
     )
     binning: tuple[int, ...] = argument(
         "try each camera whose file describes its sensor with these binnings too: a smaller one "
-        "has more pixels and takes as much longer",
+        "has more pixels and takes longer",
         (),
         written="--binning N",
         minimum=1,

@@ -1,4 +1,4 @@
-"""Cameras with another binning of the same sensor: more pixels of blur, for more time."""
+"""Cameras with another binning of the same sensor."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
