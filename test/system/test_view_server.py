@@ -9,6 +9,7 @@ import sys
 import time
 from collections import Counter
 from contextlib import suppress
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -97,7 +98,14 @@ def test_signals_end_the_program_with_its_recording(options, tmp_path, number):
     chosen = options()
     command = [sys.executable, "-m", "coded_aperture_ros", "view", "--no-browser", "--port", "0"]
     command += ["--camera", chosen.camera, "--bank", chosen.bank, "--output", str(chosen.output)]
-    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    program = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # Where the tests run under nohup, hanging up is ignored, by what they start, too.
+        preexec_fn=partial(signal.signal, number, signal.SIG_DFL),
+    )
     port = int(re.search(r":(\d+)/", program.stdout.readline())[1])
 
     served = SimpleNamespace(host="127.0.0.1", port=port, token="")
