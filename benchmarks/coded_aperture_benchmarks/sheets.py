@@ -20,9 +20,12 @@ from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.design.choice import Wanted, load_offer
-from coded_aperture_ros.design.relief import ReliefScene, flat_scene, relief_scene
-from coded_aperture_ros.frames import View
-from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
+from coded_aperture_ros.design.relief import ReliefScene, flat_scene, part_of_image, relief_scene
+from coded_aperture_ros.likelihood.bank import (
+    DEFAULT_LEVEL_COUNT,
+    FilterBank,
+    learn_bank_for_camera,
+)
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import render_coded_frame
@@ -33,10 +36,9 @@ _FOLDER = "images/sheets"
 _LARGEST_BYTES = 60_000
 _QUALITIES = range(85, 20, -5)
 _PANEL_PX = 448
-_LEVELS = 30
 _TIMED_FRAMES = 8
 # Photographs with things at many distances, one for each camera; without them, random scenes.
-_SCENES = (*("Adirondack", "cones", "Recycle", "Reindeer", "Pipes", "Aloe", "Playroom", "Laundry"),)
+_SCENES = ("Adirondack", "cones", "Recycle", "Reindeer", "Pipes", "Aloe", "Playroom", "Laundry")
 _RANDOM_SCENE = 1000
 
 
@@ -97,14 +99,11 @@ def scene_picture(path: Path, scene: ReliefScene, results: Row) -> NDArray[np.ui
         sheet["range_m"] for sheet in results["sheets"] if sheet["file"] == str(path)
     )
     wanted = Wanted(near_m, far_m, 0.0, results["illuminance_lux"], results["rate_hz"])
-    height, width = scene.place.shape
-    whole = camera.image_width, camera.image_height
-    left, top = (whole[0] - width) / 2, (whole[1] - height) / 2
-    part = camera.for_view(View(width, height, *whole, left, top))
+    part = part_of_image(camera, scene.place.shape)
     true_m = scene.depth_m(near_m, far_m)
     light = render_coded_frame(scene.reflectance, true_m, part)
     frame = wanted.exposure(offer.sensor).exposed(light, camera, np.random.default_rng(0))
-    bank = learn_bank_for_camera(camera, *guarded_range(camera, near_m, far_m, _LEVELS))
+    bank = learn_bank_for_camera(camera, *guarded_range(camera, near_m, far_m, DEFAULT_LEVEL_COUNT))
     estimator = DepthEstimator(bank, DepthConfig(), part)
     depth_m = np.asarray(estimator.estimate(frame).depth_m)
     estimator.close()

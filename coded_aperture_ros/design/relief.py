@@ -168,7 +168,7 @@ def measure_scenes(
     bank = learn_bank_for_camera(camera, *guarded_range(camera, *range_m, DEFAULT_LEVEL_COUNT))
     places, errors, estimator = [], [], None
     for number, scene in enumerate(scenes):
-        part = _part(camera, scene.place.shape, number)
+        part = part_of_image(camera, scene.place.shape, number)
         true_m = scene.depth_m(*range_m)
         light = render_coded_frame(scene.reflectance, true_m, part)
         frame = exposure.exposed(light, camera, np.random.default_rng(number))
@@ -204,7 +204,7 @@ def _by_distance(
     return found
 
 
-def _part(camera: Camera, shape: tuple[int, ...], number: int) -> Camera:
+def part_of_image(camera: Camera, shape: tuple[int, ...], number: int = 0) -> Camera:
     """Camera of a part of the image that is as large as a scene: the middle of it.
 
     Where the PSF changes over the image, the parts go from the middle to the corner.

@@ -7,8 +7,8 @@ follows.
 """
 
 import dataclasses
-import math
 
+from coded_aperture_ros.design.choice import view_deg
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.lens import image_distance
 from coded_aperture_ros.optics.pupil import largest_extent_mm
@@ -108,12 +108,10 @@ def recording(
             continue
         pitch_mm = image_distance(focal_mm, 1e3 * focus_m) / camera.focal_length_px
         if width * pitch_mm <= kind.sensor_mm[0] and height * pitch_mm <= kind.sensor_mm[1]:
-            halves = (side / 2 / camera.focal_length_px for side in (width, height))
-            across, down = (2 * math.degrees(math.atan(half)) for half in halves)
             return Recording(
                 kind=kind.name,
                 focal_length_mm=focal_mm,
-                view_deg=(across, down),
+                view_deg=view_deg(camera),
                 mask_extent_mm=share * camera.mask_extent_mm,
                 share=share,
                 focus_m=focus_m,

@@ -20,9 +20,14 @@ from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.design.choice import Wanted, light_lost_stops, load_offer, reference_files
-from coded_aperture_ros.design.relief import LEAST_FILL, MOST_ERROR
+from coded_aperture_ros.design.relief import (
+    LEAST_FILL,
+    MOST_ERROR,
+    DistanceFigures,
+    part_of_image,
+    usable_range_m,
+)
 from coded_aperture_ros.design.setting import resolution_m
-from coded_aperture_ros.frames import View
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank_for_camera
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import Camera
@@ -150,9 +155,8 @@ def _estimates(cell: Cell, camera: Camera, bank: FilterBank, picture: int) -> li
     whole = camera.image_width, camera.image_height
     changes = camera.wavefront is not None or camera.field_curvature is not None
     width, height = whole if changes else map(min, _PART_PX, whole)
-    left, top = (whole[0] - width) / 2, (whole[1] - height) / 2
-    part = camera.for_view(View(width, height, *whole, left, top))
     flat = np.full((height, width), cell.depth_m, np.float32)
+    part = part_of_image(camera, flat.shape)
     light = render_coded_frame(_picture(picture, flat.shape), flat, part)
     random = np.random.default_rng(picture)
     estimator = DepthEstimator(bank, DepthConfig(temporal_frames=VIDEO_FRAMES), part)
@@ -244,16 +248,18 @@ def limits(rows: list[Row]) -> list[float] | None:
     >>> limits([{"depth_m": 0.5, "error": None, "fill": 0.0}, *rows])
     [1.0, 3.0]
     """
-    best: list[float] | None = None
-    run: list[float] = []
-    for row in rows:
-        holds = (
-            row["error"] is not None and row["error"] <= MOST_ERROR and row["fill"] >= LEAST_FILL
+    figures = [
+        DistanceFigures(
+            row["depth_m"],
+            row["depth_m"],
+            np.inf if row["error"] is None else row["error"],
+            np.nan,  # the share within 10 % is not asked for
+            row["fill"],
         )
-        run = [*run, row["depth_m"]] if holds else []
-        if run and (best is None or run[-1] / run[0] > best[1] / best[0]):
-            best = [run[0], run[-1]]
-    return best
+        for row in rows
+    ]
+    found = usable_range_m(figures)
+    return None if found is None else list(found)
 
 
 def _per_cent(name: str) -> Callable[[Row], str]:
