@@ -69,7 +69,7 @@ release-check: ## Say whether this can be released, and what only a maintainer c
 	@python3 scripts/release_check.py
 
 docs: $(VENV)/finished-docs ## Build the documentation as a site (docs/_build/html)
-	@$(VENV)/bin/python -m sphinx -W --keep-going -q -b html docs docs/_build/html
+	@$(VENV)/bin/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo 'docs/_build/html/index.html'
 
 ifneq ($(filter test-oldest,$(MAKECMDGOALS)),)
