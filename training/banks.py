@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from coded_aperture_ros.depth.decoders.network.small import small_bank
-from coded_aperture_ros.likelihood.bank import FilterBank
-from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
+from coded_aperture_ros.likelihood.bank import FilterBank, load_bank, save_bank
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -3,11 +3,14 @@
 import dataclasses
 import math
 import time
+from collections.abc import Iterable, Sized
+from typing import Any
 
 import numpy as np
 
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
+from coded_aperture_ros.calibration.psf.nominal import SCENES, learn_nominal_bank
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
@@ -200,7 +203,13 @@ def _learned(args: Arguments, camera: Camera | None) -> FilterBank:
     stack, mask, source = _measured(args, args.psfs) if args.psfs else _rendered(args)
     learned_from = f"{source}, {describe_textures(prior)}"
     with naming(args.psfs or source):
+        if not stack.in_pixels:
+            return learn_nominal_bank(stack, args.filters, prior, learned_from, _step_progress)
         return learn_bank(stack, args.filters, prior, learned_from, mask, progress)
+
+
+def _step_progress(items: Iterable[Any]) -> Iterable[Any]:
+    return progress(items, None if isinstance(items, Sized) else SCENES, "step")
 
 
 def _remapped(args: Arguments, bank_file: str, camera: Camera) -> FilterBank:

@@ -7,11 +7,16 @@ from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.estimator import DepthEstimator, refinement_note, side_warning
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
-from coded_aperture_ros.depth.levels import Levels, blur_sizes_px, depths_are_measured
+from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
 from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
 from coded_aperture_ros.depth.quality import CAUSE_TEXTS, CAUSES, Health, no_depth_reason
-from coded_aperture_ros.depth.range_check import check_depth_range, depth_range_m, range_complaint
+from coded_aperture_ros.depth.range_check import (
+    blur_sizes_px,
+    check_depth_range,
+    depth_range_m,
+    range_complaint,
+)
 from coded_aperture_ros.depth.stages import layer_specs
 from coded_aperture_ros.depth.video import estimate_video
 

@@ -197,33 +197,6 @@ def depths_are_measured(model: BlurLevels) -> bool:
     return not model.mask_digest and model.stack.depths_m is not None
 
 
-def blur_sizes_px(
-    model: BlurLevels, camera: Camera | None, depth_m: FloatArray
-) -> FloatArray | None:
-    """Signed blur size [px] of every pixel of a depth map; None if depths are not known.
-
-    Parameters
-    ----------
-    model : BlurLevels
-        Its measured depths take precedence over the camera, as in `Levels`.
-    camera : Camera or None
-    depth_m : ndarray, float32 [rows, columns]
-        Metres, of the whole image; NaN where unknown.
-
-    Returns
-    -------
-    ndarray, float32 [rows, columns], or None
-        NaN where the depth is.
-
-    References
-    ----------
-    Martinello 2012, eq. 3.28.
-    """
-    if camera is None or depths_are_measured(model):
-        return model.stack.interpolate_blur_size(depth_m)
-    return np.asarray(camera.blur_map_px(depth_m), np.float32)
-
-
 def _metres_per_level(depth_m: FloatArray) -> FloatArray:
     """Change of depth per level [m], at every entry of a table of depths [m]; +inf at +inf."""
     per_level = np.where(np.isnan(depth_m), np.nan, np.inf)
@@ -256,7 +229,7 @@ def check_camera(model: BlurLevels, camera: Camera) -> None:
 def _depths_by_camera(model: BlurLevels, camera: Camera) -> DoubleArray:
     """Depth of every level [m], float64 [L]; `InputError` if the model is not for the camera."""
     sizes = model.stack.blur_sizes_px
-    if not model.stack.in_pixels:
+    if not model.stack.in_pixels or model.stack.nominal:
         raise InputError(
             "camera: the bank's PSFs were measured without their sizes, so a camera cannot "
             "tell their depths: learn the bank with the depths (--depths) or sizes_px"

@@ -4,7 +4,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth.levels import blur_sizes_px, depths_are_measured
+from coded_aperture_ros.depth.levels import depths_are_measured
 from coded_aperture_ros.likelihood import BlurLevels
 from coded_aperture_ros.optics import Camera
 
@@ -15,6 +15,33 @@ _HARDLY_ANY = 0.02
 # With a larger share, a unit explains them.
 _MOST = 0.5
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "0.1 mm": 1e-4, "feet": 0.3048}
+
+
+def blur_sizes_px(
+    model: BlurLevels, camera: Camera | None, depth_m: FloatArray
+) -> FloatArray | None:
+    """Signed blur size [px] of every pixel of a depth map; None if depths are not known.
+
+    Parameters
+    ----------
+    model : BlurLevels
+        Its measured depths take precedence over the camera, as in `Levels`.
+    camera : Camera or None
+    depth_m : ndarray, float32 [rows, columns]
+        Metres, of the whole image; NaN where unknown.
+
+    Returns
+    -------
+    ndarray, float32 [rows, columns], or None
+        NaN where the depth is.
+
+    References
+    ----------
+    Martinello 2012, eq. 3.28.
+    """
+    if camera is None or depths_are_measured(model):
+        return model.stack.interpolate_blur_size(depth_m)
+    return np.asarray(camera.blur_map_px(depth_m), np.float32)
 
 
 def depth_range_m(model: BlurLevels, camera: Camera | None) -> tuple[float, float] | None:

@@ -76,6 +76,11 @@ class Plan:
     second_focus: SecondFocus | None = None
 
     @property
+    def reliability(self) -> tuple[float, ...]:
+        """See `FilterBank`; empty for other models."""
+        return getattr(self.model, "reliability", ())
+
+    @property
     def grid(self) -> PatchGrid:
         """Where the patches lie."""
         return self.likelihood.grid
@@ -97,6 +102,8 @@ class Work:
     # of this one.
     grey: FloatArray = dataclasses.field(init=False)  # observe, static average
     averaged_frames: FloatArray | None = None
+    # Light of this frame's channels [height, width, C], if the model has PSFs for each.
+    channels: FloatArray | None = None  # observe
     frame_cost: Cost = dataclasses.field(init=False)  # likelihood; focal side, small patches
     # Cost of every level by this frame and those of the video around it [rows, columns, L]; None:
     # by this frame.
@@ -123,10 +130,15 @@ class Work:
         return self.frame_cost.volume if self.fused_cost is None else self.fused_cost
 
     @property
+    def measured(self) -> FloatArray:
+        """What likelihoods take: `channels`, else `grey`."""
+        return self.grey if self.channels is None else self.channels
+
+    @property
     def mean_noise(self) -> PerPatch:
-        """Standard deviation of the noise of `grey`, of the frame or around every patch."""
+        """Standard deviation of the noise of `measured`'s mean, of the frame or every patch."""
         deviation: Any = self.observation.noise.deviation
-        if self.averaged_frames is None:
+        if self.averaged_frames is None or self.channels is not None:
             return deviation
         return deviation / np.sqrt(frames_per_patch(self.averaged_frames, self.observation.grid))
 

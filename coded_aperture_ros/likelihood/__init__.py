@@ -6,6 +6,7 @@ from coded_aperture_ros.likelihood.backends import (
     check_backend,
     new_engine,
 )
+from coded_aperture_ros.likelihood.channels import ChannelLikelihood
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.protocol import (
@@ -25,6 +26,7 @@ from coded_aperture_ros.likelihood.scoring import (
 __all__ = [
     "BACKENDS",
     "BlurLevels",
+    "ChannelLikelihood",
     "Cost",
     "EngineLikelihood",
     "Likelihood",

@@ -1,7 +1,5 @@
 """The model of a method by its name: the one place that chooses, for node, command and bag."""
 
-import dataclasses
-
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -93,10 +91,3 @@ def filter_bank(model: LikelihoodModel) -> FilterBank | None:
     if isinstance(model, MotionModel):
         return model.bank.defocus
     return model if isinstance(model, FilterBank) else None
-
-
-def with_motion_config(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
-    """Model with other settings of motion, without learning; itself if nothing changes."""
-    if isinstance(model, MotionModel) and model.config != motion:
-        return dataclasses.replace(model, config=motion)
-    return model

@@ -123,6 +123,11 @@ class PsfStack:
         Depth of each level, m, for measured PSFs that state it.
     in_pixels : bool, optional
         Whether the blur sizes are pixels, and not indices of levels.
+    nominal : bool, optional
+        Whether the blur sizes are nominal ones in px: in proportion for what works with px, but not
+        measured, so that a camera file gives no depths to them; see `with_nominal_sizes`.
+    channel_psfs : array_like of float, shape [C, L, k, k], optional
+        PSFs of each colour channel, where they differ; `psfs` are those of their mean.
 
     Raises
     ------
@@ -141,6 +146,8 @@ class PsfStack:
     psfs: FloatArray
     depths_m: DoubleArray | None = None
     in_pixels: bool = True
+    nominal: bool = False
+    channel_psfs: FloatArray | None = None
 
     def __post_init__(self) -> None:
         psfs = np.ascontiguousarray(self.psfs, dtype=np.float32)
@@ -153,6 +160,11 @@ class PsfStack:
         if not np.isfinite(psfs).all():
             raise InputError("psfs: all values must be finite")
         object.__setattr__(self, "psfs", psfs)
+        if self.channel_psfs is not None:
+            channels = np.ascontiguousarray(self.channel_psfs, dtype=np.float32)
+            if channels.shape[1:] != psfs.shape or not np.isfinite(channels).all():
+                raise InputError(f"channel_psfs: expected finite values [C, *{list(psfs.shape)}]")
+            object.__setattr__(self, "channel_psfs", channels)
         for field, name in (("blur_sizes_px", "sizes_px"), ("depths_m", "depths_m")):
             if getattr(self, field) is None:
                 continue
@@ -200,7 +212,9 @@ class PsfStack:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the stack as `.npz`, without pickled objects."""
         arrays: dict[str, Any] = {"psfs": self.psfs}
-        if self.in_pixels:
+        if self.channel_psfs is not None:
+            arrays["psfs"] = np.moveaxis(self.channel_psfs, 0, -1)
+        if self.in_pixels and not self.nominal:
             arrays["sizes_px"] = self.blur_sizes_px
         if self.depths_m is not None:
             arrays["depths_m"] = self.depths_m
@@ -210,9 +224,9 @@ class PsfStack:
     def load(path: str | os.PathLike[str]) -> "PsfStack":
         """Stack from a file of `save`, or from measured PSFs.
 
-        A measured file needs `psfs` [N, k, k] only, and may have `sizes_px` [N] and `depths_m` [N].
-        Measured PSFs may be noisy, slightly negative and not of unit sum: they are divided by their
-        sum.
+        A measured file needs `psfs` [N, k, k] only, or those of red, green and blue [N, k, k, 3],
+        and may have `sizes_px` [N] and `depths_m` [N]. Measured PSFs may be noisy, slightly
+        negative and not of unit sum: they are divided by their sum.
 
         Raises
         ------
@@ -224,22 +238,32 @@ class PsfStack:
             raise InputError(f"{path}: not a PSF stack, it has no array named psfs")
         try:
             psfs = np.asarray(arrays["psfs"], dtype=np.float64)
+            channels = None
+            if psfs.ndim == 4 and psfs.shape[-1] == 3:
+                channels = np.array([_unit_sums(psfs[..., channel]) for channel in range(3)])
+                psfs = psfs.mean(axis=-1)
             stack = PsfStack(
                 arrays.get("sizes_px", np.arange(len(psfs), dtype=np.float64)),
                 psfs.astype(np.float32),
                 arrays.get("depths_m"),
                 in_pixels="sizes_px" in arrays,
+                channel_psfs=channels,
             )
-            sums = psfs.sum(axis=(1, 2), keepdims=True)
-            if not (sums > 0).all():
-                worst = int(np.argmin(sums))
-                raise InputError(
-                    f"psfs: PSF {worst} has the sum {sums[worst].item():.3g}: it has to be "
-                    "positive, a PSF is divided by it"
-                )
-            return dataclasses.replace(stack, psfs=(psfs / sums).astype(np.float32))
+            return dataclasses.replace(stack, psfs=_unit_sums(psfs))
         except (InputError, ValueError, TypeError) as error:
             raise InputError(f"{path}: {error}") from error
+
+
+def _unit_sums(psfs: DoubleArray) -> FloatArray:
+    """PSFs [L, k, k], each divided by its sum."""
+    sums = psfs.sum(axis=(1, 2), keepdims=True)
+    if not (sums > 0).all():
+        worst = int(np.argmin(sums))
+        raise InputError(
+            f"psfs: PSF {worst} has the sum {sums[worst].item():.3g}: it has to be positive, a PSF "
+            "is divided by it"
+        )
+    return np.asarray(psfs / sums, np.float32)
 
 
 def render_psf_stack(mask: Mask, blur_sizes_px: ArrayLike, diffraction_px: float = 0.0) -> PsfStack:

@@ -46,8 +46,8 @@ from coded_aperture_ros.io.messages import (
 )
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import LearnConfig
-from coded_aperture_ros.likelihood.choose import METHODS, new_model, with_motion_config
-from coded_aperture_ros.likelihood.motion import MotionConfig
+from coded_aperture_ros.likelihood.choose import METHODS, new_model
+from coded_aperture_ros.likelihood.motion import MotionConfig, with_motion_config
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline

@@ -11,7 +11,7 @@ from coded_aperture_ros.depth.decoders.posterior import refine_level
 from coded_aperture_ros.frames import PatchGrid, channel_mean
 from coded_aperture_ros.frames.noise import estimate_noise, high_power
 from coded_aperture_ros.likelihood.bank import LearnConfig, LearnedPattern, learn_bank
-from coded_aperture_ros.likelihood.bank.learning import RANK_OF_ALL
+from coded_aperture_ros.likelihood.bank.all_frequencies import RANK_OF_ALL
 from coded_aperture_ros.optics import render_psf_stack
 
 # Blur sizes to choose from: beyond those of all planes on either side.

@@ -6,5 +6,5 @@ from coded_aperture_ros.depth.quality.health import (
     FitCheck,
     Health,
     can_be_checked,
-    no_depth_reason,
 )
+from coded_aperture_ros.depth.quality.reason import no_depth_reason

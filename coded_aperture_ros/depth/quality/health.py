@@ -1,7 +1,7 @@
 """Out-of-distribution check: how well a frame fits its bank, and the likeliest cause if not."""
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -147,28 +147,6 @@ def _outputs_of(features: FloatArray) -> FloatArray:
         if layer < _LAYERS - 1:
             np.maximum(values, 0, out=values)
     return np.asarray(values[..., 0].mean(axis=0))
-
-
-def no_depth_reason(causes: Mapping[str, int], lossy: bool = False) -> str:
-    """Likeliest reason why frames have no depth at all.
-
-    Parameters
-    ----------
-    causes : mapping of str to int
-        Number of frames that do not fit, by cause.
-    lossy : bool, optional
-        Whether they are known to be compressed with loss.
-
-    Examples
-    --------
-    >>> no_depth_reason({"tone": 3, "noise": 1})
-    'values are not linear light: set the gamma'
-    """
-    if lossy:
-        return CAUSE_TEXTS["compression"]
-    if causes:
-        return CAUSE_TEXTS[max(causes, key=lambda cause: causes[cause])]
-    return "too dark, saturated, or without texture"
 
 
 def can_be_checked(stack: PsfStack) -> bool:

@@ -22,6 +22,7 @@ from coded_aperture_ros.depth.stages import (
     observe,
     periodic_texture,
     quality_of_fit,
+    reliability,
     second_surface,
     small_patches,
     static_average,
@@ -42,6 +43,7 @@ FRONT: tuple[StageModule, ...] = (
 # From cost to maps.
 BACK: tuple[StageModule, ...] = (
     decode,
+    reliability,
     quality_of_fit,
     periodic_texture,
     unknown,

@@ -53,7 +53,7 @@ class CostOfLevels(Stage):
     def __call__(self, work: Work) -> None:
         """Compute the cost; its parts are timed by themselves."""
         usable, motion = work.observation.usable, work.frame.motion
-        cost = self.likelihood.cost(work.grey, work.mean_noise, usable, motion)
+        cost = self.likelihood.cost(work.measured, work.mean_noise, usable, motion)
         work.frame_cost = cost
         for part, seconds in cost.seconds.items():
             work.seconds[part] = work.seconds.get(part, 0.0) + seconds

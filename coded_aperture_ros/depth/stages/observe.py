@@ -2,6 +2,8 @@
 
 import dataclasses
 
+import numpy as np
+
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.observation import Observation
@@ -67,6 +69,8 @@ class Observe(Stage):
             grey, unusable, self.plan.grid, self.plan.known_noise, frame.channels, least_noise
         )
         work.grey = grey
+        if self.plan.model.stack.channel_psfs is not None and frame.channels > 1:
+            work.channels = np.where(np.isfinite(frame.light), frame.light, grey[..., None])
 
     def both_ways(self, block: Block) -> None:
         """Observe the frames that no earlier block had."""

@@ -1,7 +1,8 @@
 """The filter bank: learned once for a mask, applied to every frame."""
 
+from coded_aperture_ros.likelihood.bank.all_frequencies import with_all_frequencies
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
-from coded_aperture_ros.likelihood.bank.file import load_bank, save_bank
+from coded_aperture_ros.likelihood.bank.file import load_bank
 from coded_aperture_ros.likelihood.bank.for_camera import (
     DEFAULT_LEVEL_COUNT,
     describe_textures,
@@ -10,20 +11,12 @@ from coded_aperture_ros.likelihood.bank.for_camera import (
     psf_stack_for_camera,
 )
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
-from coded_aperture_ros.likelihood.bank.learning import (
-    LearnConfig,
-    learn_bank,
-    relearn_bank,
-    with_all_frequencies,
-)
-from coded_aperture_ros.likelihood.bank.model import (
-    DEFAULT_STRIDE_PX,
-    FilterBank,
-    check_frame_size,
-    check_setting,
-)
+from coded_aperture_ros.likelihood.bank.learning import LearnConfig, learn_bank, relearn_bank
+from coded_aperture_ros.likelihood.bank.model import DEFAULT_STRIDE_PX, FilterBank, check_frame_size
 from coded_aperture_ros.likelihood.bank.pattern import LearnedPattern, ThinLens
 from coded_aperture_ros.likelihood.bank.prior import NaturalImagePrior, image_prior, power_spectrum
+from coded_aperture_ros.likelihood.bank.saving import save_bank
+from coded_aperture_ros.likelihood.bank.setting import check_setting
 
 __all__ = [
     "DEFAULT_LEVEL_COUNT",

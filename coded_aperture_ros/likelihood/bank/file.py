@@ -1,4 +1,4 @@
-"""Filter banks on disk: one `.npz` of plain arrays."""
+"""Filter banks from disk: one `.npz` of plain arrays; `saving` writes it."""
 
 import os
 from collections.abc import Callable
@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.archive import read_archive, write_archive
+from coded_aperture_ros.core.archive import read_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank.empirical import EmpiricalPrior
 from coded_aperture_ros.likelihood.bank.field import FieldFilters, FieldPsfs
+from coded_aperture_ros.likelihood.bank.learning import with_channels
 from coded_aperture_ros.likelihood.bank.model import (
     DEFAULT_STRIDE_PX,
     FilterBank,
@@ -26,68 +27,29 @@ VERSION = 2
 
 # Attributes that are stored under their own name, with the conversion on reading, and those that
 # older banks lack, with their default.
-_STORED: dict[str, Callable[[Any], Any]] = {
+STORED: dict[str, Callable[[Any], Any]] = {
     **dict.fromkeys(("ratios", "basis", "coefficients", "log_determinants"), np.asarray),
     **dict.fromkeys(("truncation_error", "noise"), float),
     **dict.fromkeys(("mask_digest", "learned_from"), str),
     "window_px": int,
 }
-_NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
+NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "highest_frequency": (float, 1.0),
     "stride_px": (int, DEFAULT_STRIDE_PX),
     "level_error": (float, np.nan),
     "image_width": (int, 0),
     "image_height": (int, 0),
     "setting_digest": (str, ""),
+    "reliability": (lambda values: tuple(np.asarray(values).tolist()), ()),
 }
-_PATTERN: dict[str, Callable[[Any], Any]] = {
+PATTERN: dict[str, Callable[[Any], Any]] = {
     "parts": np.asarray,
     **dict.fromkeys(("parts_extent", "slope_px_m", "inverse_focus"), float),
     "image_width": int,
 }
-_FIELD = ("coefficients", "log_determinants")
-_FRAMES = ("image_width", "image_height", "camera_matrix")
-_PRIOR = ("slopes", "contrasts", "model_error")
-
-
-def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
-    """Write a filter bank; the file appears whole or not at all.
-
-    Raises
-    ------
-    InputError
-        If the folder cannot be written to.
-
-    Examples
-    --------
-    >>> import tempfile, pathlib
-    >>> from coded_aperture_ros.likelihood.bank import learn_bank
-    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
-    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     save_bank(bank, pathlib.Path(folder, "bank.npz"))
-    ...     load_bank(pathlib.Path(folder, "bank.npz")).levels
-    3
-    """
-    arrays = {name: getattr(bank, name) for name in (*_STORED, *_NEWER)}
-    arrays |= {f"prior_{name}": getattr(bank.prior, name) for name in _PRIOR}
-    arrays |= {"blur_sizes_px": bank.stack.blur_sizes_px, "psfs": bank.stack.psfs}
-    if not bank.stack.in_pixels:
-        arrays["blur_sizes_are_indices"] = True
-    if bank.stack.depths_m is not None:
-        arrays["depths_m"] = bank.stack.depths_m
-    if isinstance(bank.prior, EmpiricalPrior):
-        arrays["prior_deviations"] = bank.prior.deviations
-    if bank.pattern is not None:
-        arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in _PATTERN}
-        arrays["pattern_mask"] = bank.pattern.mask.transmission
-        arrays["pattern_mask_name"] = bank.pattern.mask.name
-    if bank.field is not None:
-        filters, field = bank.field, bank.field.field
-        arrays |= {"field_psfs": field.psfs, "field_tangents": field.tangents}
-        arrays |= {f"field_{name}": getattr(filters, name) for name in _FIELD}
-        arrays |= {f"field_{name}": getattr(field.intrinsics, name) for name in _FRAMES}
-    write_archive(path, SCHEMA, VERSION, arrays)
+FIELD = ("coefficients", "log_determinants")
+FRAMES = ("image_width", "image_height", "camera_matrix")
+PRIOR = ("slopes", "contrasts", "model_error")
 
 
 def load_bank(path: str | os.PathLike[str]) -> FilterBank:
@@ -113,19 +75,21 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
                 arrays["psfs"],
                 arrays.get("depths_m"),
                 in_pixels="blur_sizes_are_indices" not in arrays,
+                nominal="blur_sizes_are_nominal" in arrays,
+                channel_psfs=arrays.get("channel_psfs"),
             ),
             prior=_prior(arrays),
             pattern=_pattern(arrays),
             field=_field(arrays),
-            **{name: read(arrays[name]) for name, read in _STORED.items()},
-            **{name: read(arrays.get(name, old)) for name, (read, old) in _NEWER.items()},
+            **{name: read(arrays[name]) for name, read in STORED.items()},
+            **{name: read(arrays.get(name, old)) for name, (read, old) in NEWER.items()},
         )
         _check_shapes(bank)
     except KeyError as error:
         raise InputError(f"{path}: {SCHEMA} without {error.args[0]}: learn it again") from error
     except (InputError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged {SCHEMA}: {error}") from error
-    return bank
+    return with_channels(bank)
 
 
 def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
@@ -133,23 +97,23 @@ def _pattern(arrays: dict[str, NDArray[Any]]) -> LearnedPattern | None:
         return None
     return LearnedPattern(
         mask=Mask(str(arrays["pattern_mask_name"]), arrays["pattern_mask"]),
-        **{name: read(arrays[f"pattern_{name}"]) for name, read in _PATTERN.items()},
+        **{name: read(arrays[f"pattern_{name}"]) for name, read in PATTERN.items()},
     )
 
 
 def _field(arrays: dict[str, NDArray[Any]]) -> FieldFilters | None:
     if "field_psfs" not in arrays:
         return None
-    width, height, matrix = (arrays[f"field_{name}"] for name in _FRAMES)
+    width, height, matrix = (arrays[f"field_{name}"] for name in FRAMES)
     frames = Intrinsics(int(width), int(height), tuple(matrix.tolist()))
     return FieldFilters(
         FieldPsfs(arrays["field_psfs"], arrays["field_tangents"], frames),
-        **{name: arrays[f"field_{name}"] for name in _FIELD},
+        **{name: arrays[f"field_{name}"] for name in FIELD},
     )
 
 
 def _prior(arrays: dict[str, NDArray[Any]]) -> NaturalImagePrior:
-    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in _PRIOR)
+    slopes, contrasts, model_error = (arrays[f"prior_{name}"].tolist() for name in PRIOR)
     if "prior_deviations" not in arrays:
         return NaturalImagePrior(tuple(slopes), tuple(contrasts), model_error)
     deviations = tuple(tuple(row) for row in arrays["prior_deviations"].tolist())
@@ -172,7 +136,7 @@ def _check_shapes(bank: FilterBank) -> None:
     arrays = {name: getattr(bank, name) for name in expected}
     if bank.field is not None:
         parts = len(bank.field.field.tangents)
-        for name in _FIELD:
+        for name in FIELD:
             expected[f"field_{name}"] = (parts, *expected[name])
             arrays[f"field_{name}"] = getattr(bank.field, name)
     for name, shape in expected.items():

@@ -35,8 +35,6 @@ _SHARP_PX = 1.0
 _MIN_HIGHEST_FREQUENCY = 0.1
 # Every so many filters of the parts of an image choose the basis; it serves them all.
 _BASIS_OF_PARTS = 7
-# The rank that all frequencies need.
-RANK_OF_ALL = 128
 # A window chosen by the blur has so many patches a side, no farther apart than this, px.
 _STRIDES_PER_WINDOW = 6
 _MAX_STRIDE_PX = 16
@@ -189,7 +187,7 @@ def learn_bank(
     basis[multiplicity == 0] = 0
     scaled = weights * scales[:, None]
     factored = (coefficients.transpose(1, 2, 0) @ basis.T) * scales[:, None]
-    return FilterBank(
+    bank = FilterBank(
         stack=stack,
         window_px=config.window_px,
         prior=prior,
@@ -205,6 +203,18 @@ def learn_bank(
         stride_px=stride_px,
         field=None if field is None else FieldFilters.fit(field, parts, basis),
     )
+    return with_channels(bank)
+
+
+def with_channels(bank: FilterBank) -> FilterBank:
+    """Bank with those of its colour channels, if their PSFs differ; else the bank itself."""
+    psfs = bank.stack.channel_psfs
+    if psfs is None:
+        return bank
+    config = LearnConfig(bank.window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
+    stacks = [dataclasses.replace(bank.stack, psfs=one, channel_psfs=None) for one in psfs]
+    channels = tuple(learn_like(bank, stack, config) for stack in stacks)
+    return dataclasses.replace(bank, channels=channels)
 
 
 def _complete_config(stack: PsfStack, config: LearnConfig) -> tuple[LearnConfig, int]:
@@ -254,33 +264,20 @@ def relearn_bank(bank: FilterBank, window_px: int, levels: IndexArray) -> Filter
     [3.0, 7.0]
     """
     stack = bank.stack
+    channels = stack.channel_psfs
     chosen = PsfStack(
-        np.abs(stack.blur_sizes_px[levels]), stack.psfs[levels], in_pixels=stack.in_pixels
+        np.abs(stack.blur_sizes_px[levels]),
+        stack.psfs[levels],
+        in_pixels=stack.in_pixels,
+        channel_psfs=None if channels is None else channels[:, levels],
     )
     config = LearnConfig(window_px, bank.basis_vectors, bank.highest_frequency, bank.noise)
     field = None if bank.field is None else bank.field.field
     field = field and dataclasses.replace(field, psfs=field.psfs[:, levels])
-    return _learn_like(bank, chosen, config, field)
+    return learn_like(bank, chosen, config, field)
 
 
-def with_all_frequencies(bank: FilterBank) -> FilterBank:
-    """Bank without a highest frequency, for PSFs of motion, which differ at the highest, too.
-
-    Examples
-    --------
-    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
-    >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
-    >>> bank.highest_frequency, with_all_frequencies(bank).highest_frequency
-    (0.46, 1.0)
-    """
-    if bank.highest_frequency >= 1:
-        return bank
-    config = LearnConfig(bank.window_px, RANK_OF_ALL, 1.0, bank.noise)
-    other = _learn_like(bank, bank.stack, config)
-    return dataclasses.replace(other, stride_px=bank.stride_px, level_error=bank.level_error)
-
-
-def _learn_like(
+def learn_like(
     bank: FilterBank, stack: PsfStack, config: LearnConfig, field: FieldPsfs | None = None
 ) -> FilterBank:
     """Bank of other levels of a bank's mask, with the same textures and pattern."""

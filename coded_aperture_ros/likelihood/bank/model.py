@@ -9,7 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import PatchGrid
-from coded_aperture_ros.likelihood import EngineLikelihood, Plan, new_engine
+from coded_aperture_ros.likelihood import ChannelLikelihood, EngineLikelihood, Plan, new_engine
 from coded_aperture_ros.likelihood.bank.field import FieldFilters
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.hypotheses import FilterHypotheses, fit_coefficients
@@ -85,6 +85,11 @@ class FilterBank:
         Size of the frames that the blur sizes are of, px; 0 if it is unknown.
     setting_digest : str
         See `Camera.setting_digest`; empty if the depths do not come from a camera file.
+    reliability : tuple of float
+        Offset and factor of the log-odds of a confidence that make it right for this bank; empty
+        for masks, for which it is right as it is. See `calibration.psf.nominal`.
+    channels : tuple of FilterBank
+        Banks of the colour channels, where their PSFs differ; else empty.
     guard_levels : int
         Levels at either end for what is beyond the depth range.
     pattern : LearnedPattern or None
@@ -124,6 +129,8 @@ class FilterBank:
     image_width: int = 0
     image_height: int = 0
     setting_digest: str = ""
+    reliability: tuple[float, ...] = ()
+    channels: tuple["FilterBank", ...] = ()
     guard_levels: int = 0
     pattern: LearnedPattern | None = None
     field: FieldFilters | None = None
@@ -181,7 +188,7 @@ class FilterBank:
         backend: str = "numpy",
         threads: int = 1,
         periodic: bool = True,
-    ) -> EngineLikelihood:
+    ) -> EngineLikelihood | ChannelLikelihood:
         """Likelihood for frames of one size.
 
         Parameters
@@ -193,7 +200,11 @@ class FilterBank:
         """
         bank = self._with_periodic if periodic and self.stack.in_pixels else self
         engine = new_engine(Plan.for_frames(bank, shape, stride_px), backend, threads)
-        return EngineLikelihood(engine, self.window_correlation, self.levels)
+        own = EngineLikelihood(engine, self.window_correlation, self.levels)
+        if not self.channels:
+            return own
+        settings = shape, stride_px, backend, threads, periodic
+        return ChannelLikelihood(own, [bank.plan(*settings) for bank in self.channels])
 
     @cached_property
     def _with_periodic(self) -> "FilterBank":
@@ -304,32 +315,6 @@ def check_frame_size(
     raise InputError(
         f"frame of {size}{resampled}: the bank is for {expected[0]}x{expected[1]}, and the same "
         f"blur in pixels would be another depth: {remedy}"
-    )
-
-
-def check_setting(bank: FilterBank, camera: Camera) -> Camera:
-    """Camera for frames of a bank's size, if that is known.
-
-    Raises
-    ------
-    InputError
-        If the camera has another focus, focal length, mask size or view than the bank's, saying
-        what to do.
-
-    Examples
-    --------
-    >>> from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-    >>> from coded_aperture_ros.optics import Camera, Mask
-    >>> camera = Camera(640.0, 1.0, 160, 120, Mask.named("levin"), 46.0)
-    >>> check_setting(learn_bank_for_camera(camera, 1.2, 2.4, 5), camera).image_width
-    160
-    """
-    if bank.setting_digest in ("", camera.setting_digest):
-        return camera.resized(bank.image_width, bank.image_height) if bank.image_width else camera
-    raise InputError(
-        f"the bank was learned for another setting of the camera ({bank.learned_from}), with "
-        "another focus, focal length, mask size or side: learn the bank for this camera file, or "
-        "make one with learn --remap"
     )
 
 

@@ -3,7 +3,7 @@
 from coded_aperture_ros.likelihood.motion.bank import learn_motion_bank
 from coded_aperture_ros.likelihood.motion.config import MotionConfig
 from coded_aperture_ros.likelihood.motion.kernels import Motions, blurred_psf, motion_kernel
-from coded_aperture_ros.likelihood.motion.likelihood import MotionModel
+from coded_aperture_ros.likelihood.motion.likelihood import MotionModel, with_motion_config
 
 __all__ = [
     "MotionConfig",
@@ -12,4 +12,5 @@ __all__ = [
     "blurred_psf",
     "learn_motion_bank",
     "motion_kernel",
+    "with_motion_config",
 ]

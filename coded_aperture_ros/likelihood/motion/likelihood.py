@@ -12,6 +12,7 @@ from coded_aperture_ros.likelihood.motion.bank import MotionBank
 from coded_aperture_ros.likelihood.motion.config import MotionConfig
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
 from coded_aperture_ros.likelihood.motion.joint import Separated, separate, separate_expected
+from coded_aperture_ros.likelihood.protocol import LikelihoodModel
 from coded_aperture_ros.optics import Camera, PsfStack
 
 # A motion is as good as another that is so near, px, or so near relative to its length.
@@ -216,3 +217,10 @@ class MotionLikelihood:
         confidence = np.asarray((separated.probability * agree).sum(axis=0), np.float32)
         vectors[~usable], confidence[~usable] = np.nan, 0
         return MotionField(vectors.astype(np.float32), confidence, expected.search_reason)
+
+
+def with_motion_config(model: LikelihoodModel, motion: MotionConfig) -> LikelihoodModel:
+    """Model with other settings of motion, without learning; itself if nothing changes."""
+    if isinstance(model, MotionModel) and model.config != motion:
+        return dataclasses.replace(model, config=motion)
+    return model
