@@ -9,10 +9,13 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSE_TEXTS, DepthConfig, DepthEstimate
+from coded_aperture_ros.depth.decoders.network import unsupported_reason
+from coded_aperture_ros.depth.quality import can_be_checked
 from coded_aperture_ros.design.setting import Setting, design_setting, resolutions_m
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.nominal import grows_evenly
 from coded_aperture_ros.optics.pupil import wider_mask_advice
 from coded_aperture_ros.pipeline import FramePipeline
 
@@ -125,14 +128,62 @@ def _open_area(setting: Setting) -> Finding:
     )
 
 
+def bank_findings(bank: FilterBank) -> list[Finding]:
+    """Findings about a bank by itself: its levels, and in one line what it does not cover."""
+    stack = bank.stack
+    depths_m = "depths unknown"
+    if stack.depths_m is not None:
+        near_m, far_m = sorted(stack.depths_m[[0, -1]].tolist())
+        depths_m = f"{near_m:.3g} to {far_m:.3g} m"
+    sizes = "without blur sizes"
+    if stack.in_pixels:
+        first_px, last_px = stack.blur_sizes_px[[0, -1]]
+        sizes = f"blur of {first_px:.3g} to {last_px:.3g} px{' (nominal)' * stack.nominal}"
+    of_channels = ", PSFs of each colour channel" if bank.channels else ""
+    text = f"{bank.levels}, {sizes}, {depths_m}{of_channels}; from {bank.learned_from}"
+    missing = _not_covered(bank)
+    return [
+        Finding("levels", OK, text, "", {"levels": bank.levels, "nominal": stack.nominal}),
+        Finding(
+            "not covered",
+            WARNING if missing else OK,
+            "; ".join(missing) or "nothing: refinement, check of fit, confidence and metres work",
+            "learn the bank with sizes_px, or with --depths" if missing else "",
+            {"count": len(missing)},
+        ),
+    ]
+
+
+def _not_covered(bank: FilterBank) -> list[str]:
+    stack = bank.stack
+    reason = unsupported_reason(bank, bank.stride_px)
+    return [
+        text
+        for text, applies in (
+            (f"no refinement: {reason}", bool(reason)),
+            ("no check of fit", not can_be_checked(stack)),
+            ("confidence is that of masks", not (stack.in_pixels or bank.reliability)),
+            ("levels in place of metres", stack.depths_m is None),
+            ("sizes are not those of a mask: no views, no other focus", stack.nominal),
+            (
+                "PSFs do not grow evenly by level: the check of fit knows masks only, and "
+                "occlusion at depth edges is not modelled",
+                stack.nominal and not grows_evenly(stack),
+            ),
+        )
+        if applies
+    ]
+
+
 class FrameCheckup:
-    """Checks of single frames of a camera, for use with a bank.
+    """Checks of single frames, for use with a bank, and with a camera if there is one.
 
     Raises `InputError` if the bank is not for the camera.
     """
 
-    def __init__(self, camera: Camera, bank: FilterBank) -> None:
-        check_setting(bank, camera)
+    def __init__(self, camera: Camera | None, bank: FilterBank) -> None:
+        if camera is not None:
+            check_setting(bank, camera)
         self._camera = camera
         self._bank = dataclasses.replace(bank, noise=0.0)
         self._pipeline: FramePipeline | None = None  # for frames of one size
@@ -142,12 +193,12 @@ class FrameCheckup:
         height, width = frame.shape
         try:
             check_frame_size(self._bank, *frame.whole_size)
-            camera = self._camera.resized(*frame.whole_size)
+            camera = self._camera and self._camera.resized(*frame.whole_size)
         except InputError as error:
             return [_failed("size", error)]
         found = [Finding("size", OK, f"{width}x{height}"), _saturation(frame.light)]
         # The estimated noise is compared with the camera file's, which must not be used for it.
-        camera = dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
+        camera = camera and dataclasses.replace(camera, noise=0.0, noise_gain=0.0)
         try:
             if self._pipeline is None:
                 self._pipeline = FramePipeline(self._bank, camera, deblur=None)
@@ -163,15 +214,16 @@ class FrameCheckup:
             self._pipeline.close()
 
     def _noise(self, estimate: DepthEstimate) -> Finding:
-        expected = self._camera.noise
-        found = estimate.noise
+        camera, found = self._camera, estimate.noise
+        expected = 0.0 if camera is None else camera.noise
         numbers = {"noise": found, "noise_of_the_file": expected}
-        if not expected:
-            return Finding("noise", OK, f"{found:.4f}; the camera file says nothing", "", numbers)
+        if camera is None or not expected:
+            silent = "there is no camera file" if camera is None else "the camera file says nothing"
+            return Finding("noise", OK, f"{found:.4f}; {silent}", "", numbers)
         differs = not 1 / _NOISE_FACTOR <= found / expected <= _NOISE_FACTOR
         return Finding(
             "noise",
-            WARNING if differs and not self._camera.noise_gain else OK,
+            WARNING if differs and not camera.noise_gain else OK,
             f"{found:.4f}, the camera file says {expected:.4f}",
             "measure it with calibrate noise" if differs else "",
             numbers,

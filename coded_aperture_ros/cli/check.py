@@ -6,9 +6,10 @@ import json
 from collections.abc import Callable, Iterator
 from functools import partial
 
-from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, camera_findings
+from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, bank_findings, camera_findings
 from coded_aperture_ros.cli.command import Command, UsageError, argument
 from coded_aperture_ros.cli.reading import PixelArguments
+from coded_aperture_ros.cli.rules import only_with, required
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.frames import Frame, PixelFormat
@@ -27,6 +28,8 @@ _MARKS = {"ok": "  ok  ", "warning": " WARN ", "failed": " FAIL "}
 _EXAMPLES = """examples:
   what a camera can tell apart:
     coded_aperture check --camera config/example_camera.yaml --depth-range 6 28
+  what a bank without a camera file covers, such as one of measured PSFs:
+    coded_aperture check --bank bank.npz
   whether frames fit the camera and its bank:
     coded_aperture check --camera config/example_camera.yaml --bank bank.npz frames/
 
@@ -39,7 +42,7 @@ class Arguments(PixelArguments):
     """Arguments of `check`."""
 
     inputs: tuple[str, ...] = argument("as for the command depth", (), written="FRAMES")
-    camera: str = argument("camera file", written="--camera YAML")
+    camera: str | None = argument("camera file", None, written="--camera YAML")
     bank: str | None = argument("filter bank; see learn", None, written="--bank NPZ")
     depth_range: tuple[float, float] | None = argument(
         "in m (default: that of the bank)", None, written="--depth-range NEAR FAR"
@@ -49,17 +52,9 @@ class Arguments(PixelArguments):
 
 def run(args: Arguments) -> int:
     """Print what is found; return the exit status."""
-    camera = load_camera(args.camera)
+    camera = load_camera(args.camera) if args.camera else None
     bank = load_bank(args.bank) if args.bank else None
-    range_m = args.depth_range
-    if range_m is None and bank is not None and bank.stack.depths_m is not None:
-        first_m, last_m = bank.stack.depths_m[[0, -1]].tolist()
-        range_m = min(first_m, last_m), max(first_m, last_m)
-    if range_m is None:
-        raise UsageError("--depth-range: needed, unless --bank names a bank that knows its depths")
-    near_m, far_m = range_m
-    with naming(args.camera):
-        found = {"camera": camera_findings(camera, near_m, far_m)}
+    found = _found_without_frames(args, camera, bank)
 
     def report(given: str, error: InputError) -> None:
         remedy = "leave out what cannot be read, or record it again"
@@ -67,8 +62,9 @@ def run(args: Arguments) -> int:
 
     if args.inputs:
         if bank is None:
-            bank = _learned(camera, near_m, far_m)
-        with naming(args.bank or args.camera):
+            assert camera is not None  # by the rules
+            bank = _learned(camera, *_depth_range_m(args, bank))
+        with naming(args.bank or str(args.camera)):
             checkup = FrameCheckup(camera, bank)
         for given, name, frame in itertools.islice(_frames(args, camera, report), _MOST_FRAMES):
             while name in found:  # files of other folders may have this name, too
@@ -90,6 +86,27 @@ def run(args: Arguments) -> int:
     return int(failed)
 
 
+def _found_without_frames(
+    args: Arguments, camera: Camera | None, bank: FilterBank | None
+) -> dict[str, list[Finding]]:
+    """Return the findings about a camera, or else about a bank by itself."""
+    if camera is not None:
+        near_m, far_m = _depth_range_m(args, bank)
+        with naming(str(args.camera)):
+            return {"camera": camera_findings(camera, near_m, far_m)}
+    assert bank is not None  # by the rules
+    return {"bank": bank_findings(bank)}
+
+
+def _depth_range_m(args: Arguments, bank: FilterBank | None) -> tuple[float, float]:
+    if args.depth_range is not None:
+        return args.depth_range
+    if bank is None or bank.stack.depths_m is None:
+        raise UsageError("--depth-range: needed, unless --bank names a bank that knows its depths")
+    near_m, far_m = sorted(bank.stack.depths_m[[0, -1]].tolist())
+    return near_m, far_m
+
+
 def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
     count = DEFAULT_LEVEL_COUNT
     return learn_bank_for_camera(
@@ -98,7 +115,7 @@ def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
 
 
 def _frames(
-    args: Arguments, camera: Camera, report: Callable[[str, InputError], None]
+    args: Arguments, camera: Camera | None, report: Callable[[str, InputError], None]
 ) -> Iterator[tuple[str, str, Frame]]:
     """Yield input, name and frame of every picture; report what cannot be read."""
     pixel_format = PixelFormat(args.gamma, args.bits, args.bayer or "")
@@ -119,6 +136,7 @@ COMMAND = Command(
     description="Say on one page what a camera can tell apart and what that costs, whether its "
     f"bank is for it, and whether frames fit both (up to {_MOST_FRAMES}): size, saturation, "
     "noise, mask, scale, compression, motion, focus. Without a bank one is learned for the "
-    "depth range.",
+    "depth range. A bank without a camera file is checked by itself.",
     examples=_EXAMPLES,
+    rules=(required("--camera", "--bank"), only_with("--depth-range", "--camera")),
 )

@@ -95,8 +95,8 @@ class StereoOutput:
         stack: PsfStack,
         camera: Camera | None,
     ) -> None:
-        if args.views and not stack.in_pixels:
-            raise InputError("--views needs blur sizes in pixels")
+        if args.views and (stack.nominal or not stack.in_pixels):
+            raise InputError("--views needs blur sizes in pixels, and not nominal ones")
         self._args = args
         self._output = Path(output)
         # Unlike the all-in-focus picture these are to be looked at, not to be computed with.

@@ -11,6 +11,7 @@ from coded_aperture_ros.optics.psf import PsfStack
 _SMALLEST_PX = 1.0
 _LARGEST_PX = 22.0
 _LARGEST_STEP_PX = 0.8
+_FEWEST_LEVELS = 5
 # Least range, px, and least share of the variance of the measured widths that a straight line
 # explains, for sizes that are those of the PSFs and not only their order.
 _LEAST_SPAN_PX = 3.0
@@ -41,30 +42,26 @@ def widths_px(psfs: FloatArray) -> DoubleArray:
 
 
 def grows_evenly(stack: PsfStack) -> bool:
-    """Whether the PSFs grow or shrink about as those of a mask do, so that widths are sizes.
+    """Whether the PSFs grow or shrink as those of a mask do, so that widths are blur sizes.
 
     Nearly equally from level to level or, where depths are known, with the inverse depth. Those of
     a phase mask do not.
     """
-    line, width = _line(stack)
-    steps = np.abs(np.diff(line))
+    width, line = _line(stack)
     explained = 1 - float(np.var(width - line)) / max(float(np.var(width)), 1e-9)
     return bool(
-        explained >= _LEAST_EXPLAINED
-        and np.ptp(line) >= _LEAST_SPAN_PX
-        and steps.max() <= _LARGEST_STEP_PX
-        and line.min() > 0
-        and line.max() <= _LARGEST_PX
+        explained >= _LEAST_EXPLAINED and line.min() > 0 and np.ptp(_fitted(line)) >= _LEAST_SPAN_PX
     )
 
 
 def with_nominal_sizes(stack: PsfStack) -> PsfStack:
-    """Stack with blur sizes in px, marked as nominal; the stack itself if it has sizes in px.
+    """Stack with blur sizes in px, marked as nominal; itself if it has sizes, or too few levels.
 
-    Where the PSFs `grows_evenly`, sizes are those of a straight line through their widths, over the
-    level or the inverse depth; negative where PSFs shrink with the depth. Else, as for most phase
-    masks, sizes stand for the order of the levels only: equal steps, in the direction of the widths
-    and about their mean as far as the range allows.
+    Where PSFs grow evenly, sizes are those of a straight line through their widths, over the level
+    or the inverse depth, reduced as far as the refinement needs; negative where PSFs shrink with
+    the depth. Else, as for most phase masks, sizes stand for the order of the levels only: equal
+    steps, in the direction of the widths and about their mean as far as the range allows. Fewer
+    than five levels do not reach over the range that the refinement needs.
 
     Parameters
     ----------
@@ -79,23 +76,30 @@ def with_nominal_sizes(stack: PsfStack) -> PsfStack:
     >>> with_nominal_sizes(unknown).blur_sizes_px.round(1).tolist()
     [3.5, 4.0, 4.4, 4.8, 5.3, 5.7, 6.2, 6.6]
     """
-    if stack.in_pixels or len(stack) < 2:
+    if stack.in_pixels or len(stack) < _FEWEST_LEVELS:
         return stack
-    line, width = _line(stack)
+    width, line = _line(stack)
     if grows_evenly(stack):
-        sizes = line
+        sizes = _fitted(line)
         if stack.depths_m is not None and np.diff(stack.depths_m)[0] * np.diff(line)[0] < 0:
-            sizes = -line
+            sizes = -sizes
     else:
         sizes = _equal_steps(len(stack), float(width.mean()), shrinks=line[-1] < line[0])
     return dataclasses.replace(stack, blur_sizes_px=sizes, in_pixels=True, nominal=True)
 
 
 def _line(stack: PsfStack) -> tuple[DoubleArray, DoubleArray]:
-    """Straight line through the widths of the PSFs [L], and the widths, px."""
+    """Widths of the PSFs [L], px, and the straight line through them."""
     width = widths_px(stack.psfs)
     along = np.arange(len(stack)) if stack.depths_m is None else 1 / stack.depths_m
-    return np.polyval(np.polyfit(along, width, 1), along), width
+    return width, np.asarray(np.polyval(np.polyfit(along, width, 1), along), np.float64)
+
+
+def _fitted(line: DoubleArray) -> DoubleArray:
+    """Sizes [L], px, reduced in proportion until range and steps are what the network knows."""
+    step_px = float(np.abs(np.diff(line)).max())
+    scales = _LARGEST_STEP_PX / max(step_px, 1e-9), _LARGEST_PX / float(line.max())
+    return line * min(1.0, *scales)
 
 
 def _equal_steps(count: int, mean_px: float, shrinks: bool) -> DoubleArray:

@@ -15,6 +15,7 @@ import scipy.optimize
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.stages.reliability import reliability_terms
 from coded_aperture_ros.likelihood.bank import (
     FilterBank,
     LearnConfig,
@@ -28,18 +29,21 @@ from coded_aperture_ros.simulation.layered import random_scene
 # Side of the patches for PSFs that do not grow as those of a mask, px: they tell less apart, so
 # that more of the frame has to.
 _WIDE_WINDOW_PX = 64
-# Scenes that are rendered, their side, px, and their first seed: no training or benchmark has them.
-SCENES = 16
+# Scenes, of which two frames are made each, their side, px, and the first seed: no training and no
+# benchmark has these.
+SCENES = 24
 _SCENE_PX = 256
 _FIRST_SEED = 3_000_000
 # Noise of the scenes, linear light, where the camera's is not known; log-uniform.
 _NOISES = (0.002, 0.02)
+# Levels are rendered in so many steps.
+_STEPS_PER_LEVEL = 3
 # Every so many pixels of a map count: neighbours say the same.
 _SPARSE = 4
 # Right is an error of at most one level or, where depths are known, of this share of the depth.
 _TOLERANCE = 0.05
-# Confidences nearer to 0 and 1 count as these.
-_SURE = 1e-4
+# Penalty of the squared coefficient of the noise, which is undetermined where that is known.
+_RIDGE = 1e-3
 
 
 def learn_nominal_bank(
@@ -50,6 +54,8 @@ def learn_nominal_bank(
     progress: Progress = iter,
 ) -> FilterBank:
     """Bank of PSFs without sizes in px, with nominal sizes and a measured confidence.
+
+    Too few levels for nominal sizes make a bank as `learn_bank` does.
 
     Parameters
     ----------
@@ -63,17 +69,18 @@ def learn_nominal_bank(
     InputError
         As `learn_bank`.
     """
+    sized = with_nominal_sizes(stack)
+    if not sized.nominal:
+        return learn_bank(stack, config, prior, learned_from, progress=progress)
     if not config.window_px and not grows_evenly(stack):
-        widest = stack.psfs.shape[-1]
-        config = dataclasses.replace(config.for_blur(widest_psf_px=widest), noise=config.noise)
-        window_px = max(config.window_px, _WIDE_WINDOW_PX)
+        window_px = max(config.for_blur(0.0, stack.psfs.shape[-1]).window_px, _WIDE_WINDOW_PX)
         config = dataclasses.replace(config, window_px=window_px)
-    bank = learn_bank(with_nominal_sizes(stack), config, prior, learned_from, progress=progress)
+    bank = learn_bank(sized, config, prior, learned_from, progress=progress)
     return dataclasses.replace(bank, reliability=measured_reliability(bank, progress))
 
 
-def measured_reliability(bank: FilterBank, progress: Progress = iter) -> tuple[float, float]:
-    """Offset and factor of the log-odds of the confidence that make it right for a bank.
+def measured_reliability(bank: FilterBank, progress: Progress = iter) -> tuple[float, ...]:
+    """Coefficients of the `reliability_terms` that make the confidence right for a bank.
 
     Parameters
     ----------
@@ -83,53 +90,47 @@ def measured_reliability(bank: FilterBank, progress: Progress = iter) -> tuple[f
     """
     plain = dataclasses.replace(bank, reliability=())
     estimator = DepthEstimator(plain, DepthConfig(confidence_threshold=0.0, check_fit=False))
-    odds, right = [], []
-    for frame, level in progress(_scenes(plain)):
-        estimate = estimator.estimate(frame)
-        sparse = np.s_[::_SPARSE, ::_SPARSE]
-        confidence = estimate.confidence[sparse].astype(np.float64)
-        known = confidence > 0
-        certain = np.clip(confidence[known], _SURE, 1 - _SURE)
-        odds.append(np.log(certain / (1 - certain)))
-        right.append(_is_right(bank.stack, estimate.level[sparse], level[sparse])[known])
+    sparse = np.s_[::_SPARSE, ::_SPARSE]
+    terms, right = [], []
+    for seed in progress(range(SCENES)):
+        for frame, level in _frames(plain, seed):
+            estimate = estimator.estimate(frame)
+            confidence = estimate.confidence[sparse]
+            known = confidence > 0
+            terms.append(reliability_terms(confidence[known], estimate.noise))
+            right.append(_is_right(bank.stack, estimate.level[sparse], level[sparse])[known])
     estimator.close()
-    return _logistic_fit(np.concatenate(odds), np.concatenate(right))
+    return _logistic_fit(np.concatenate(terms, axis=1), np.concatenate(right))
 
 
-def _scenes(bank: FilterBank) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield frames through a bank's PSFs, with noise, and the fractional level of each pixel."""
+def _frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield frames of a scene through a bank's PSFs, and the fractional level of each pixel."""
     stack = bank.stack
     order = np.argsort(stack.blur_sizes_px if stack.depths_m is None else stack.depths_m)
-    for seed in range(SCENES):
-        random = np.random.default_rng([seed, _FIRST_SEED])
-        scene = random_scene(_FIRST_SEED + seed, Mask.named("disc"), shape=(_SCENE_PX, _SCENE_PX))
-        behind = scene.blur_size_px()
-        behind = (behind - behind.min()) / max(float(np.ptp(behind)), 1e-6)
-        # Every other scene has all levels, the others a part of them.
-        first, last = (0.0, 1.0) if seed % 2 else np.sort(random.random(2))
+    psfs = stack.psfs[None] if stack.channel_psfs is None else stack.channel_psfs
+    random = np.random.default_rng([seed, _FIRST_SEED])
+    scene = random_scene(_FIRST_SEED + seed, Mask.named("disc"), shape=(_SCENE_PX, _SCENE_PX))
+    light = scene.all_in_focus()
+    behind = scene.blur_size_px()
+    behind = (behind - behind.min()) / max(float(np.ptp(behind)), 1e-6)
+    # All levels, or a part of them.
+    for first, last in ((0.0, 1.0), np.sort(random.random(2))):
         rank = (first + (last - first) * behind) * (len(stack) - 1)
-        light = scene.all_in_focus()
-        psfs = stack.psfs[None] if stack.channel_psfs is None else stack.channel_psfs
-        tints = random.uniform(0.5, 1, len(psfs)) if len(psfs) > 1 else np.ones(1)
         noise = bank.noise or float(np.exp(random.uniform(*np.log(_NOISES))))
-        channels = [
-            np.clip(coded + noise * random.standard_normal(coded.shape), 0, 1)
-            for coded in (
-                tint * coded_frame(light, rank, of_channel[order])
-                for tint, of_channel in zip(tints, psfs, strict=True)
-            )
-        ]
-        frame = np.stack(channels, axis=-1) if len(channels) > 1 else channels[0]
-        yield (
-            frame.astype(np.float32),
-            np.interp(rank, np.arange(len(order)), order).astype(np.float32),
-        )
+        frame = np.empty((*light.shape, len(psfs)), np.float32)
+        for channel, of_channel in enumerate(psfs):
+            tint = random.uniform(0.5, 1) if len(psfs) > 1 else 1.0
+            coded = tint * coded_frame(light, rank, of_channel[order])
+            frame[..., channel] = coded + noise * random.standard_normal(light.shape)
+        level = np.interp(rank, np.arange(len(order)), order).astype(np.float32)
+        yield np.clip(frame if len(psfs) > 1 else frame[..., 0], 0, 1), level
 
 
 def coded_frame(light: FloatArray, rank: FloatArray, psfs: FloatArray) -> FloatArray:
     """Frame of surfaces behind each other, each blurred by its PSF, float32 [rows, columns].
 
-    The PSF of each pixel is that of the nearest level; nearer surfaces hide those behind them.
+    The PSF of each pixel is interpolated between those of its two levels, to a third of a level;
+    nearer surfaces hide those behind them.
 
     Parameters
     ----------
@@ -140,20 +141,21 @@ def coded_frame(light: FloatArray, rank: FloatArray, psfs: FloatArray) -> FloatA
     psfs : ndarray, float32 [L, k, k]
         The nearest first.
     """
-    nearest = np.rint(rank).astype(np.intp)
+    steps = np.rint(rank * _STEPS_PER_LEVEL).astype(np.intp)
     frame = np.zeros_like(light)
     covered = np.zeros_like(light)
-    for index in range(len(psfs) - 1, -1, -1):
-        here = (nearest == index).astype(np.float32)
-        if not here.any():
-            continue
-        kernel = np.ascontiguousarray(psfs[index, ::-1, ::-1])
-        blurred, share = (
-            cv2.filter2D(part, -1, kernel, borderType=cv2.BORDER_REFLECT_101)
-            for part in (here * light, here)
+    for step in np.unique(steps)[::-1]:
+        here = (steps == step).astype(np.float32)
+        index, part = divmod(int(step), _STEPS_PER_LEVEL)
+        share = np.float32(part / _STEPS_PER_LEVEL)
+        psf = (1 - share) * psfs[index] + share * psfs[min(index + 1, len(psfs) - 1)]
+        kernel = np.ascontiguousarray(psf[::-1, ::-1])
+        blurred, cover = (
+            cv2.filter2D(one, -1, kernel, borderType=cv2.BORDER_REFLECT_101)
+            for one in (here * light, here)
         )
-        frame = (1 - share) * frame + blurred
-        covered = (1 - share) * covered + share
+        frame = (1 - cover) * frame + blurred
+        covered = (1 - cover) * covered + cover
     return np.asarray(frame / np.maximum(covered, np.float32(1e-3)))
 
 
@@ -166,14 +168,15 @@ def _is_right(stack: PsfStack, level: FloatArray, truth: FloatArray) -> BoolArra
     return np.asarray(np.abs(depth_m - true_m) <= _TOLERANCE * true_m)
 
 
-def _logistic_fit(odds: DoubleArray, right: BoolArray) -> tuple[float, float]:
-    """Offset and factor of log-odds [n] under which `right` [n] is the likeliest."""
+def _logistic_fit(terms: DoubleArray, right: BoolArray) -> tuple[float, ...]:
+    """Coefficients of the terms [3, n] under which `right` [n] is the likeliest."""
 
     def cost(coefficients: DoubleArray) -> float:
-        measured = coefficients[0] + coefficients[1] * odds
-        return float(np.mean(np.logaddexp(0, measured) - right * measured))
+        odds = coefficients @ terms
+        likelihood = np.mean(np.logaddexp(0, odds) - right * odds)
+        return float(likelihood + _RIDGE * coefficients[2] ** 2)
 
     # Confidence never falls where the decoder's rises.
-    found = scipy.optimize.minimize(cost, [0.0, 1.0], bounds=[(-10, 10), (0.05, 10)])
-    offset, factor = found.x
-    return float(offset), float(factor)
+    bounds = [(-20, 20), (0.05, 10), (-5, 5)]
+    found = scipy.optimize.minimize(cost, [0.0, 1.0, 0.0], bounds=bounds)
+    return tuple(found.x.tolist())

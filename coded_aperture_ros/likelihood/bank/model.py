@@ -86,8 +86,8 @@ class FilterBank:
     setting_digest : str
         See `Camera.setting_digest`; empty if the depths do not come from a camera file.
     reliability : tuple of float
-        Offset and factor of the log-odds of a confidence that make it right for this bank; empty
-        for masks, for which it is right as it is. See `calibration.psf.nominal`.
+        Coefficients that make the decoder's confidence right for this bank (`reliability_terms` in
+        `depth/stages/reliability.py`); empty for masks, for which it is right as it is.
     channels : tuple of FilterBank
         Banks of the colour channels, where their PSFs differ; else empty.
     guard_levels : int

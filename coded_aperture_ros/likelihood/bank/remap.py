@@ -71,7 +71,7 @@ def remap_bank(
         raise InputError("level_count: other levels need a depth range")
     pattern = None if bank.pattern is None else refocused(bank.pattern, camera)
     learned_from = f"{bank.learned_from}; for a focus at {camera.focus_distance_m:g} m"
-    if pattern is None and not bank.stack.in_pixels:
+    if pattern is None and (bank.stack.nominal or not bank.stack.in_pixels):
         raise InputError("the bank's levels have no blur sizes in px, so they have no depths")
     if pattern is None and bank.mask_digest not in ("", camera.mask.digest):
         raise InputError(f"the bank is for another mask than the camera's {camera.mask.name}")

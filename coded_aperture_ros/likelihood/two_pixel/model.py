@@ -277,7 +277,7 @@ def _check_stack(stack: PsfStack, config: TwoPixelConfig) -> None:
         )
     check_level_count(len(stack))
     sizes = stack.blur_sizes_px
-    if not stack.in_pixels:
+    if stack.nominal or not stack.in_pixels:
         raise InputError(
             "psfs: they were measured without their sizes in px, on which the neighbours of a "
             "pixel depend: give sizes_px, or use --method bank"
