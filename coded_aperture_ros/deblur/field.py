@@ -12,7 +12,7 @@ from coded_aperture_ros.deblur.config import DeblurConfig
 from coded_aperture_ros.deblur.deblurrer import Deblurrer
 from coded_aperture_ros.deblur.levels import RenderedLevels
 from coded_aperture_ros.deblur.problem import full_resolution_motion, measured_pixels
-from coded_aperture_ros.deblur.uncertainty import Uncertainty
+from coded_aperture_ros.deblur.several import ChannelDeblurrer, SeveralDeblurrers
 from coded_aperture_ros.frames import check_frame
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.likelihood.bank.field import COLUMNS, ROWS, FieldPsfs
@@ -36,7 +36,7 @@ class _Tile:
     weight: FloatArray  # [rows, columns]
 
 
-class FieldDeblurrer:
+class FieldDeblurrer(SeveralDeblurrers):
     """All-in-focus frames of a lens whose PSF changes over the image.
 
     Parameters and methods are those of `Deblurrer`, with the PSFs of a `field`; the stack has those
@@ -50,42 +50,17 @@ class FieldDeblurrer:
         config: DeblurConfig | None = None,
         progress: Progress = iter,
     ) -> None:
-        self.stack = stack
-        self._deblurrers = []
+        deblurrers = []
         for tangent in field_tangents(field.intrinsics, _ROWS, _COLUMNS):
             nearest = np.argsort(np.sum((field.tangents - tangent) ** 2, axis=1))[:4]
             tile_stack = dataclasses.replace(stack, psfs=field.psfs[nearest].mean(axis=0))
-            self._deblurrers.append(Deblurrer(tile_stack, config, progress))
-
-    @property
-    def config(self) -> DeblurConfig:
-        """Settings."""
-        return self._deblurrers[0].config
-
-    @property
-    def removes_motion(self) -> bool:
-        """Whether the method can remove motion blur too."""
-        return self._deblurrers[0].removes_motion
+            deblurrers.append(Deblurrer(tile_stack, config, progress))
+        super().__init__(stack, deblurrers)
 
     def prepare(self, shape: Shape) -> None:
         """Make the filters for frames of `shape` (rows, columns) before the first one."""
         for part, deblurrer in zip(_tiles(tuple(shape)), self._deblurrers, strict=True):
             deblurrer.prepare(part.weight.shape)
-
-    def reset(self) -> None:
-        """Forget the frames so far: the next one begins another video."""
-        for deblurrer in self._deblurrers:
-            deblurrer.reset()
-
-    def reconfigure(self, config: DeblurConfig) -> None:
-        """Use other settings from the next frame on."""
-        for deblurrer in self._deblurrers:
-            deblurrer.reconfigure(config)
-
-    def close(self) -> None:
-        """End the worker threads."""
-        for deblurrer in self._deblurrers:
-            deblurrer.close()
 
     def deblur(
         self,
@@ -112,23 +87,6 @@ class FieldDeblurrer:
             sharp[part.region] += (found.T * part.weight.T).T
             weight[part.region] += part.weight
         return (sharp.T / weight.T).T
-
-    def uncertainty(
-        self,
-        frame: FloatArray,
-        sharp: FloatArray,
-        blur_size_px: FloatArray,
-        noise: float | None = None,
-    ) -> Uncertainty:
-        """Standard deviation of each pixel; see `Deblurrer.uncertainty`.
-
-        Visibility through the aperture is computed with the PSFs of the axis.
-        """
-        whole = Deblurrer(self.stack, self.config)
-        try:
-            return whole.uncertainty(frame, sharp, blur_size_px, noise)
-        finally:
-            whole.close()
 
 
 @lru_cache(maxsize=4)
@@ -165,13 +123,13 @@ def _overlapping_spans(length: int, count: int) -> list[tuple[slice, FloatArray]
     return found
 
 
-AnyDeblurrer = Deblurrer | FieldDeblurrer
+AnyDeblurrer = Deblurrer | FieldDeblurrer | ChannelDeblurrer
 
 
 def make_deblurrer(
     model: BlurLevels, config: DeblurConfig | None = None, progress: Progress = iter
 ) -> AnyDeblurrer:
-    """Deblurrer for a model: by tiles if its PSFs change over the image.
+    """Deblurrer for a model: by tiles or channels if its PSFs change over the image or with colour.
 
     Parameters
     ----------
@@ -183,7 +141,7 @@ def make_deblurrer(
 
     Returns
     -------
-    Deblurrer or FieldDeblurrer
+    Deblurrer, FieldDeblurrer or ChannelDeblurrer
 
     Examples
     --------
@@ -198,6 +156,8 @@ def make_deblurrer(
     field = model.field if isinstance(model, RenderedLevels) else None
     if isinstance(model, FilterBank) and model.field is not None:
         field = model.field.field
-    if field is None:
-        return Deblurrer(model.stack, config, progress)
-    return FieldDeblurrer(model.stack, field, config, progress)
+    if field is not None:
+        return FieldDeblurrer(model.stack, field, config, progress)
+    if model.stack.channel_psfs is not None:
+        return ChannelDeblurrer(model.stack, config, progress)
+    return Deblurrer(model.stack, config, progress)

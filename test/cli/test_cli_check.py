@@ -1,5 +1,6 @@
 """`coded_aperture check`: a camera, a bank and frames on one page."""
 
+import dataclasses
 import json
 import shutil
 
@@ -7,6 +8,8 @@ import cv2
 import numpy as np
 import pytest
 from cli_scene import FAR_M, HEIGHT, NEAR_M, WIDTH, call, camera_file, refused, wrong_usage
+
+from coded_aperture_ros.likelihood.bank import load_bank, save_bank
 
 
 def findings(result):
@@ -119,3 +122,44 @@ def test_what_cannot_be_read_is_reported_among_the_others(scene, tmp_path, capsy
     assert f"[ FAIL ] frame: cannot read {tmp_path / 'a.png'}: not a" in text
     assert "b.npy: " in text
     assert "leave out what cannot be read" in text.partition("next:")[2]
+
+
+def test_a_bank_alone(scene, tmp_path, capsys):
+    result = call(capsys, "check", "--bank", scene.bank)
+    assert result.status == 0
+    assert "nothing: refinement, check of fit, confidence and metres work" in result.out
+    stack = load_bank(scene.bank).stack
+    index = dataclasses.replace(stack, in_pixels=False, depths_m=None)
+    nominal = dataclasses.replace(stack, nominal=True)
+    for name, one, phrases in (
+        ("index", index, ("no refinement", "no check of fit", "levels in place of metres")),
+        ("nominal", nominal, ("(nominal)", "no views, no other focus")),
+    ):
+        file = tmp_path / f"{name}.npz"
+        save_bank(dataclasses.replace(load_bank(scene.bank), stack=one), file)
+        found = call(capsys, "check", "--bank", file)
+        assert found.status == 0
+        for phrase in phrases:
+            assert phrase in found.out
+        assert findings(call(capsys, "check", "--bank", file, "--json"))["bank"] == {
+            "levels": "ok",
+            "not covered": "warning",
+        }
+
+
+def test_frames_are_checked_against_a_bank_alone(scene, capsys):
+    result = call(capsys, "check", "--bank", scene.bank, scene.coded_npy, "--json")
+    assert result.status == 0
+    (frame,) = (found for name, found in findings(result).items() if name != "bank")
+    assert frame["size"] == frame["noise"] == frame["fit"] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "phrase"),
+    [
+        ((), "required: --camera or --bank"),
+        (("--bank", "bank.npz", "--depth-range", 1, 2), "--depth-range: only with --camera"),
+    ],
+)
+def test_check_needs_a_camera_or_a_bank(capsys, arguments, phrase):
+    wrong_usage(call(capsys, "check", *arguments), "check", phrase)

@@ -109,7 +109,9 @@ def _frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArra
     order = np.argsort(stack.blur_sizes_px if stack.depths_m is None else stack.depths_m)
     psfs = stack.psfs[None] if stack.channel_psfs is None else stack.channel_psfs
     random = np.random.default_rng([seed, _FIRST_SEED])
-    scene = random_scene(_FIRST_SEED + seed, Mask.named("disc"), shape=(_SCENE_PX, _SCENE_PX))
+    # Every other scene is a room with nothing in it.
+    size = _SCENE_PX, _SCENE_PX
+    scene = random_scene(_FIRST_SEED + seed, Mask.named("disc"), shape=size, empty=bool(seed % 2))
     light = scene.all_in_focus()
     behind = scene.blur_size_px()
     behind = (behind - behind.min()) / max(float(np.ptp(behind)), 1e-6)
