@@ -76,6 +76,13 @@ def test_psfs_of_one_width_get_equal_steps_within_the_range(count, span_px):
     assert 1 <= found.min() < found.max() <= 22
 
 
+def test_equal_steps_go_as_the_widths_do():
+    stack = masks_of_one_width()
+    backwards = dataclasses.replace(stack, psfs=stack.psfs[::-1])
+    sizes, reversed_sizes = (with_nominal_sizes(one).blur_sizes_px for one in (stack, backwards))
+    assert reversed_sizes == pytest.approx(sizes[::-1])
+
+
 @pytest.mark.parametrize(
     "stack",
     [
