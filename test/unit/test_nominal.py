@@ -202,6 +202,18 @@ def test_reliability_of_a_confidence_that_is_right_changes_nothing(confidence):
     assert work.confidence == pytest.approx(confidence, abs=1e-6)
 
 
+def test_scenes_have_known_depths_by_their_logarithm():
+    depths_m = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
+    levels = masks_of_one_width(len(depths_m))
+    behind = np.array([[0.0, 1.0]], np.float32)
+    known = dataclasses.replace(levels, depths_m=depths_m)
+    for stack, middle in ((levels, [1, 3]), (known, [1, 3])):
+        assert nominal._ranks(stack, 0.25, 0.75, behind).ravel() == pytest.approx(middle)
+    # Half way in inverse depth from 1 m to 4 m is 1.6 m.
+    half = nominal._ranks(known, 0.25, 0.75, np.array([[0.5]], np.float32)).item()
+    assert known.interpolate_depth(np.array([half]))[0] == pytest.approx(1.6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("channels", [False, True], ids=["grey", "colour"])
 def test_the_confidence_is_what_was_right_on_other_scenes(channels, monkeypatch):

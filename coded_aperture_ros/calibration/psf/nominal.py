@@ -117,7 +117,7 @@ def _frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArra
     behind = (behind - behind.min()) / max(float(np.ptp(behind)), 1e-6)
     # All levels, or a part of them.
     for first, last in ((0.0, 1.0), np.sort(random.random(2))):
-        rank = (first + (last - first) * behind) * (len(stack) - 1)
+        rank = _ranks(stack, first, last, behind)
         noise = bank.noise or float(np.exp(random.uniform(*np.log(_NOISES))))
         frame = np.empty((*light.shape, len(psfs)), np.float32)
         for channel, of_channel in enumerate(psfs):
@@ -126,6 +126,23 @@ def _frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArra
             frame[..., channel] = coded + noise * random.standard_normal(light.shape)
         level = np.interp(rank, np.arange(len(order)), order).astype(np.float32)
         yield np.clip(frame if len(psfs) > 1 else frame[..., 0], 0, 1), level
+
+
+def _ranks(stack: PsfStack, first: float, last: float, behind: FloatArray) -> FloatArray:
+    """Fractional index of the level of each pixel, by depth, float32 [rows, columns].
+
+    Pixels have all depths of a share of the range, from `first` to `last` of it, the nearest where
+    `behind` is 0 and the farthest where it is 1. Known depths are in proportion to the share by
+    their logarithm, and blur of a scene to the inverse depth.
+    """
+    last_rank = len(stack) - 1
+    if stack.depths_m is None:
+        return np.asarray((first + (last - first) * behind) * last_rank, np.float32)
+    depths_m = np.sort(stack.depths_m)
+    span = np.log(depths_m[-1] / depths_m[0])
+    near, far = (1 / (depths_m[0] * np.exp(share * span)) for share in (first, last))
+    inverse = near + (far - near) * behind
+    return np.interp(-inverse, -1 / depths_m, np.arange(len(stack))).astype(np.float32)
 
 
 def coded_frame(light: FloatArray, rank: FloatArray, psfs: FloatArray) -> FloatArray:
