@@ -20,6 +20,7 @@ from coded_aperture_ros.likelihood.bank import (
     save_bank,
 )
 from coded_aperture_ros.likelihood.bank.remap import remap_bank
+from coded_aperture_ros.likelihood.choose import new_model
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 from coded_aperture_ros.optics.nominal import grows_evenly, with_nominal_sizes
 
@@ -181,6 +182,38 @@ def test_channels_see_what_their_mean_does_not():
         ]
         errors.append(max(found))
     assert errors[0] < 0.7 < 2 < errors[1]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"temporal_frames": 4.0},
+        {"regularize": "semiglobal"},
+        {"free_space_risk": 0.05, "second_surface": True},
+        {"saturation": 0.6},
+    ],
+)
+def test_colour_frames_go_through_all_stages(bank, options):
+    config = DepthConfig(confidence_threshold=0.0, **options)
+    estimator = DepthEstimator(bank, config)
+    frame = plane(bank.stack.channel_psfs[:, 7])
+    frame[40:60, 40:60, 1] = np.nan
+    for _ in range(2):
+        estimate = estimator.estimate(frame)
+    known = np.isfinite(estimate.level)
+    assert known.mean() > 0.3
+    assert np.median(np.abs(estimate.level[known] - 7)) < 1
+    estimator.close()
+
+
+def test_methods_without_channels_take_the_mean_of_colour_frames(bank):
+    model = new_model("motion", bank=bank)
+    frame = plane(bank.stack.channel_psfs[:, 7])
+    config = DepthConfig(confidence_threshold=0.0, check_fit=False)
+    found, of_grey = (
+        DepthEstimator(model, config).estimate(one).level for one in (frame, frame.mean(axis=-1))
+    )
+    assert np.isfinite(found).all() and found.shape == of_grey.shape
 
 
 def test_a_camera_gives_no_depths_to_nominal_sizes(bank):

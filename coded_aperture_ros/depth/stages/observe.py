@@ -9,6 +9,7 @@ from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.frames import grey_image
+from coded_aperture_ros.likelihood import ChannelLikelihood
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = ""
@@ -69,7 +70,7 @@ class Observe(Stage):
             grey, unusable, self.plan.grid, self.plan.known_noise, frame.channels, least_noise
         )
         work.grey = grey
-        if self.plan.model.stack.channel_psfs is not None and frame.channels > 1:
+        if isinstance(self.plan.likelihood, ChannelLikelihood) and frame.channels > 1:
             work.channels = np.where(np.isfinite(frame.light), frame.light, grey[..., None])
 
     def both_ways(self, block: Block) -> None:

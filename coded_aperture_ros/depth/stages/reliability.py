@@ -1,4 +1,8 @@
-"""Confidence of a bank for which the decoder's is not right, such as one of a phase mask."""
+"""Confidence of a bank for which the decoder's is not right, such as one of a phase mask.
+
+It was measured with the network where that supports the bank; for classical regularisation, whose
+confidence is lower, it is too modest.
+"""
 
 import dataclasses
 
