@@ -161,6 +161,7 @@ def run(args: Arguments) -> int:
         "levels": bank.levels,
         "blur_size_min_px": round(float(bank.blur_sizes_px.min()), 3),
         "blur_size_max_px": round(float(bank.blur_sizes_px.max()), 3),
+        "nominal_sizes": bank.stack.nominal,
         "window_px": bank.window_px,
         "stride_px": bank.stride_px,
         "rank": bank.basis.shape[1],
@@ -177,9 +178,9 @@ def run(args: Arguments) -> int:
 
 def _text(summary: Summary) -> str:
     lines = [
-        "{output}: {levels} levels, {blur_size_min_px:g} to {blur_size_max_px:g} px, from "
+        "{output}: {levels} levels, {blur_size_min_px:g} to {blur_size_max_px:g} px{nominal}, from "
         "{learned_from}; patches of {window_px} px every {stride_px} px; {seconds:.1f} s".format(
-            **summary
+            nominal=" (nominal)" * summary["nominal_sizes"], **summary
         )
     ]
     if "resolution_near_m" in summary:

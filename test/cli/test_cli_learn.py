@@ -83,6 +83,18 @@ def test_from_measured_psfs(tmp_path, capsys, in_file, options, sizes, depths):
         assert bank.stack.depths_m.tolist() == depths
 
 
+def test_psfs_without_sizes_get_nominal_ones(tmp_path, capsys):
+    sizes_px = np.linspace(4, 9, 8)
+    psfs = tmp_path / "psfs.npz"
+    np.savez(psfs, psfs=render_psf_stack(Mask.named("levin"), sizes_px).psfs)
+    result = call(capsys, "learn", "--psfs", psfs, "-o", tmp_path / "bank.npz")
+    assert result.status == 0
+    assert " px (nominal), from measured PSFs" in result.out
+    bank = load_bank(tmp_path / "bank.npz")
+    assert bank.stack.nominal
+    assert bank.blur_sizes_px == pytest.approx(sizes_px, rel=0.2)
+
+
 CAMERA_RANGE = ("--camera", "camera.yaml", "--depth-range", 1.5, 3)
 REMAP = ("--remap", "bank.npz", "--camera", "camera.yaml")
 

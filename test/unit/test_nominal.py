@@ -247,6 +247,18 @@ def test_scenes_have_known_depths_by_their_logarithm():
     assert known.interpolate_depth(np.array([half]))[0] == pytest.approx(1.6)
 
 
+def test_psfs_of_a_mask_are_as_good_without_their_sizes():
+    known = render_psf_stack(Mask.named("levin"), SIZES)
+    unknown = without_sizes(known)
+    found = learn_nominal_bank(unknown, LearnConfig(), NaturalImagePrior(), "test")
+    assert found.reliability == () and found.stack.nominal
+    frame = plane(known.psfs[None, 9])[..., 0]
+    for one in (learn_bank(known), found):
+        estimate = DepthEstimator(one, DepthConfig(confidence_threshold=0.0)).estimate(frame)
+        assert np.median(np.abs(estimate.level - 9)) < 0.5
+        assert estimate.health is not None and estimate.health.fits
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("channels", [False, True], ids=["grey", "colour"])
 def test_the_confidence_is_what_was_right_on_other_scenes(channels, monkeypatch):

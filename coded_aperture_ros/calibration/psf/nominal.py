@@ -53,9 +53,10 @@ def learn_nominal_bank(
     learned_from: str,
     progress: Progress = iter,
 ) -> FilterBank:
-    """Bank of PSFs without sizes in px, with nominal sizes and a measured confidence.
+    """Bank of PSFs without sizes in px, with nominal sizes, and its own confidence if needed.
 
-    Too few levels for nominal sizes make a bank as `learn_bank` does.
+    PSFs that grow evenly are as those of a mask; too few have no nominal sizes. Both make a bank as
+    `learn_bank` does.
 
     Parameters
     ----------
@@ -70,9 +71,9 @@ def learn_nominal_bank(
         As `learn_bank`.
     """
     sized = with_nominal_sizes(stack)
-    if not sized.nominal:
-        return learn_bank(stack, config, prior, learned_from, progress=progress)
-    if not config.window_px and not grows_evenly(stack):
+    if not sized.nominal or grows_evenly(stack):
+        return learn_bank(sized, config, prior, learned_from, progress=progress)
+    if not config.window_px:
         window_px = max(config.for_blur(0.0, stack.psfs.shape[-1]).window_px, _WIDE_WINDOW_PX)
         config = dataclasses.replace(config, window_px=window_px)
     bank = learn_bank(sized, config, prior, learned_from, progress=progress)
