@@ -13,6 +13,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, I
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.optics.nominal import widths_px
 
 WINDOW_PX = 48
 _HIGHEST_FREQUENCY = 0.5
@@ -190,7 +191,7 @@ def bank_levels(stack: PsfStack) -> PsfLevels:
 
     Power spectra do not distinguish the sides.
     """
-    sizes_px = stack.blur_sizes_px if stack.in_pixels else _widths(stack.psfs)
+    sizes_px = stack.blur_sizes_px if stack.in_pixels else widths_px(stack.psfs)
     longer = np.sign(sizes_px[np.abs(sizes_px).argmax()])
     one_side = np.flatnonzero(sizes_px * longer >= 0)
     count = len(one_side)
@@ -219,14 +220,6 @@ def _named_alternative(name: str) -> PsfHypotheses:
         rows = [cv2.getGaussianKernel(11, sigma) for sigma in _SHARP_PX]
         return PsfHypotheses.from_psfs([row @ row.T for row in rows])
     return PsfHypotheses.from_psfs(list(render_psf_stack(Mask.named(name), _SIZES_PX).psfs))
-
-
-def _widths(psfs: FloatArray) -> DoubleArray:
-    """Approximate blur size of PSFs of unknown size [L], px: the square of equal spread."""
-    along = np.arange(psfs.shape[-1]) - psfs.shape[-1] // 2
-    square = np.add.outer(along**2, along**2)
-    spread = np.maximum((psfs * square).sum(axis=(1, 2)) / psfs.sum(axis=(1, 2)), 0)
-    return np.asarray(np.sqrt(6 * spread), np.float64)
 
 
 def levels_beyond(own: PsfLevels) -> PsfLevels:
