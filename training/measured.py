@@ -21,6 +21,7 @@ _HIDDEN_PX = 16
 # So many that steps between them are smaller than those of levels.
 _SLICES = 32
 _ZOOM = (0.6, 1.3)
+_ENLARGED = (0.6, 4.0)
 _FOCAL_LENGTH_PX = 600.0
 _FOCUS_M = 1.0
 # Where the middle of a canvas' first pixel lies, in pixels of the frame.
@@ -137,11 +138,40 @@ def measured_scene(
     return LayeredScene(tuple(layers), _camera(mask, blur_range_px, shape, random)), known
 
 
+@lru_cache(maxsize=32)
+def _photograph(path: Path) -> FloatArray:
+    return np.asarray(read_image(path, SRGB))
+
+
+def photograph_board(path: Path, board: Layer, random: np.random.Generator) -> Layer:
+    """Board with a photograph on it, at a random size and angle, instead of its own texture.
+
+    It may be enlarged to four times its pixels: nothing on it is sharp then.
+    """
+    picture = _photograph(path)
+    tint = random.dirichlet((4, 4, 4)).astype(np.float32)
+    exposure = np.float32(math.exp(random.uniform(math.log(0.3), math.log(1.0))))
+    zoom = 1 / math.exp(random.uniform(*np.log(_ENLARGED)))
+    canvas = board.light.shape
+    turned = cv2.warpAffine(
+        (exposure * (picture @ tint)).astype(np.float32),
+        _random_turn(picture.shape[:2], canvas, random, zoom),
+        canvas[::-1],
+        flags=cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP,
+        borderMode=cv2.BORDER_REFLECT_101,
+    )
+    light = prefiltered(np.clip(turned, 0, 1).astype(np.float32)) * board.cover
+    return dataclasses.replace(board, light=light)
+
+
 def _random_turn(
-    source: tuple[int, ...], canvas: tuple[int, ...], random: np.random.Generator
+    source: tuple[int, ...],
+    canvas: tuple[int, ...],
+    random: np.random.Generator,
+    zoom: float | None = None,
 ) -> FloatArray:
     """Where in the photograph each place of a canvas lies, as an affine matrix [2, 3]."""
-    zoom = random.uniform(*_ZOOM) / FINENESS
+    zoom = (random.uniform(*_ZOOM) if zoom is None else zoom) / FINENESS
     angle = math.pi / 2 * random.integers(4) + random.normal(0, 0.1)
     flip = -1.0 if random.random() < 0.5 else 1.0
     matrix = zoom * np.array(

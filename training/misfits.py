@@ -11,8 +11,11 @@ import numpy as np
 from banks import BankPair, kept_banks
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, Recorded, recorded
 from coded_aperture_benchmarks.datasets.misfits import MISFITS
+from measured import photograph_board
 from scenes import (
+    FIRST_BOARD_SHARD,
     FRAME_PX,
+    FRAMES_PER_SHARD,
     SCENES,
     build_scene,
     frame_numbers,
@@ -30,6 +33,7 @@ from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 from coded_aperture_ros.simulation.layered import LayeredScene
+from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer
 
 # Levels of all banks; each frame is shown to some of them.
 _SIZES_PX = np.arange(0.6, 22.01, 0.55)
@@ -65,6 +69,10 @@ _CAMERA_SHARE = 0.6
 _BOARD_EVERY = 6
 _BADLY_CUT_EVERY = 6
 _NARROWEST_PX = 1.2
+# Where all frames show boards: how many are soft, and the Gauss filter that they are softened by.
+_SOFT_SHARE = 0.7
+_PHOTOGRAPH_SHARE = 0.7
+_SOFT_PX = (0.3, 2.0)
 _BADLY_CUT = (0.08, 0.18)
 
 
@@ -99,7 +107,7 @@ def _changed(stack: PsfStack | None, kind: str, step: int) -> PsfStack | None:
 
 
 @lru_cache(maxsize=1)
-def _scene(number: int) -> LayeredScene:
+def _scene(number: int, folder: Path) -> LayeredScene:
     plan = scene_plan(number)
     scene, _ = build_scene(plan)
     if not _shows_board(number):
@@ -110,19 +118,40 @@ def _scene(number: int) -> LayeredScene:
     size = float(np.exp(random.uniform(*np.log([_NARROWEST_PX, max(widest, 2.0)]))))
     sign = -1.0 if plan.side == "near" else 1.0
     board = dataclasses.replace(scene.layers[-1], blur_px=(sign * size, 0, 0), relief_px=None)
+    if _shows_boards_only(number):
+        board = _printed(board, sorted(folder.parent.glob("photographs/*.png")), random)
     return LayeredScene((board,), scene.camera)
 
 
+def _printed(board: Layer, photographs: list[Path], random: np.random.Generator) -> Layer:
+    """Board with a photograph on it, or softened, or as it is."""
+    if photographs and random.random() < _PHOTOGRAPH_SHARE:
+        path = photographs[int(random.integers(len(photographs)))]
+        return photograph_board(path, board, random)
+    if random.random() > _SOFT_SHARE:
+        return board
+    sigma = FINENESS * float(np.exp(random.uniform(*np.log(_SOFT_PX))))
+    light, cover = (cv2.GaussianBlur(one, (0, 0), sigma) for one in (board.light, board.cover))
+    return dataclasses.replace(board, light=light, cover=cover)
+
+
 def _shows_board(number: int) -> bool:
-    return number % _BOARD_EVERY == 0 and not scene_plan(number).fence
+    every = number % _BOARD_EVERY == 0 and not scene_plan(number).fence
+    return every or _shows_boards_only(number)
 
 
-def _light(number: int, light: np.ndarray, blur_px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _shows_boards_only(number: int) -> bool:
+    return number >= FIRST_BOARD_SHARD * FRAMES_PER_SHARD
+
+
+def _light(
+    number: int, light: np.ndarray, blur_px: np.ndarray, folder: Path
+) -> tuple[np.ndarray, np.ndarray]:
     """Frame of a shard and the blur sizes that it shows, some of them made anew."""
     badly_cut = number % _BADLY_CUT_EVERY == 1
     if not badly_cut and not _shows_board(number):
         return light, blur_px
-    mask, scene = mask_named(scene_plan(number).mask), _scene(number)
+    mask, scene = mask_named(scene_plan(number).mask), _scene(number, folder)
     random = np.random.default_rng([23, number])
     strength = random.uniform(*_BADLY_CUT) if badly_cut else random.uniform(0, 0.08)
     light = scene.coded(uneven_mask(mask, strength, random))
@@ -190,11 +219,16 @@ def _examples(
     def ordinary(extent: float) -> np.ndarray:
         disc = Mask.named("disc").transmission
         margin = int(len(disc) * max(1 / extent - 1, 0) / 2)
-        return _scene(number).coded(Mask("lens", np.pad(disc, margin)))
+        return _scene(number, folder).coded(Mask("lens", np.pad(disc, margin)))
 
     noise = float(np.exp(random.uniform(np.log(3e-4), np.log(5e-3))))
     fitting = Fitting(
-        light, lambda: _scene(number).all_in_focus(), ordinary, own.bank.stack, blur_px, noise
+        light,
+        lambda: _scene(number, folder).all_in_focus(),
+        ordinary,
+        own.bank.stack,
+        blur_px,
+        noise,
     )
     levels = _Levels.between(own, *ends)
     for frame in _fitting_frames(fitting, random):
@@ -315,10 +349,10 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
         infinity_px = far * max(
             abs(float(scenes["infinity"][index])), 1.2 * float(np.nanmax(blur_px))
         )
-        light, blur_px = _light(number, light, blur_px)
+        light, blur_px = _light(number, light, blur_px, folder)
         random = np.random.default_rng([24, number])
         # Banks have sizes of one sign.
-        camera = _scene(number).camera if side == "far" else None
+        camera = _scene(number, folder).camera if side == "far" else None
         for example in _examples(number, light, blur_px, folder):
             causes = MISFITS[example.kind].causes if example.kind != FITS else ()
             cause = list(CAUSES).index(causes[0]) if causes else -1

@@ -50,6 +50,8 @@ _FENCE_SHARES = (0.4, 0.2, 0.15, 0.25)
 _FENCED_NEAR = 0.15
 # From this one on frames show photographs with measured disparity, if there are any.
 FIRST_MEASURED_SHARD = 300
+# From this one on the check of fit is shown boards only, sharp ones and soft ones.
+FIRST_BOARD_SHARD = 400
 _MEASURED_NEAR = 0.15
 _MORE_OFTEN = {"zhou": 2.0, "four_hole": 2.0}
 # Blur is kept in 16 bits.
@@ -84,7 +86,8 @@ def is_fenced(number: int) -> bool:
 
 def is_measured(number: int) -> bool:
     """Whether a frame shows a photograph with measured disparity: from `FIRST_MEASURED_SHARD`."""
-    return number >= FIRST_MEASURED_SHARD * FRAMES_PER_SHARD
+    first, end = (shard * FRAMES_PER_SHARD for shard in (FIRST_MEASURED_SHARD, FIRST_BOARD_SHARD))
+    return first <= number < end
 
 
 @dataclasses.dataclass(frozen=True)

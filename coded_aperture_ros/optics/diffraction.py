@@ -55,7 +55,8 @@ def diffracted_psf(
     """Light of each pixel, float64 [width_px, width_px], as a share of all light.
 
     The field of a square cell is a product of two Fresnel integrals, so that it is exact; the
-    intensity is integrated over the pixels by Gauss's rule, with points enough for its fringes.
+    intensity between neighbouring pixels is shared between them as in `render_psf`, by Gauss's
+    rule with points enough for its fringes.
 
     Parameters
     ----------
@@ -69,7 +70,10 @@ def diffracted_psf(
     """
     count = int(np.ceil(np.pi / (2 * diffraction_px))) + _EXTRA_QUADRATURE_POINTS
     nodes, weights = np.polynomial.legendre.leggauss(count)
-    places = (np.arange(width_px)[:, None] - (width_px - 1) / 2 + nodes / 2).ravel()
+    # From before the first pixel to beyond the last; of what lies between two, each has a share.
+    gaps, towards = width_px + 1, (nodes + 1) / 2
+    places = (np.arange(gaps)[:, None] - (width_px + 1) / 2 + towards).ravel()
+    before, beyond = weights / 2 * (1 - towards), weights / 2 * towards
     amplitude = np.sqrt(mask.transmission.astype(np.float64))
     # A row of the grid is not as long as the extent where the grid is higher than wide.
     cell, (down, across) = 1 / max(amplitude.shape), amplitude.shape
@@ -80,17 +84,20 @@ def diffracted_psf(
         for cells, beside in zip((down, across), centre_px, strict=True)
     )
     chosen = amplitude if part is None else np.sqrt(part.transmission.astype(np.float64))
-    light = np.empty((width_px, width_px))
+    light = np.zeros((width_px + 2, width_px))
     across_whole = amplitude @ columns.T
     across_chosen = chosen @ columns.T
-    # A row of pixels at a time: all points together can take gigabytes.
-    for pixels, row_fields in zip(light, rows.reshape(width_px, count, down), strict=True):
+    # A row of gaps at a time: all points together can take gigabytes.
+    for gap, row_fields in enumerate(rows.reshape(gaps, count, down)):
         whole = row_fields @ across_whole
         passed = whole if part is None else row_fields @ across_chosen
-        intensity = weights @ (passed.conj() * whole).real
-        pixels[:] = intensity.reshape(width_px, count) @ weights
-    # Parseval's theorem: the integral of |U|^2 is q^2 times that of t^2. A weight is of 2 px.
-    return light / 4 / (diffraction_px**2 * float((amplitude**2).sum()) * cell**2)
+        intensity = (passed.conj() * whole).real.reshape(count, gaps, count)
+        of_pixels = (intensity @ beyond)[:, :-1] + (intensity @ before)[:, 1:]
+        light[gap] += before @ of_pixels
+        light[gap + 1] += beyond @ of_pixels
+    light = light[1:-1]
+    # Parseval's theorem: the integral of |U|^2 is q^2 times that of t^2.
+    return light / (diffraction_px**2 * float((amplitude**2).sum()) * cell**2)
 
 
 def _slit_fields(

@@ -1,4 +1,4 @@
-"""Point-spread functions: rendered from a mask by exact area integration, or measured."""
+"""Point-spread functions: rendered from a mask by exact integration, or measured."""
 
 import dataclasses
 import os
@@ -26,11 +26,13 @@ def render_psf(
     centre_px: tuple[float, float] = (0.0, 0.0),
     diffraction_px: float = 0.0,
 ) -> FloatArray:
-    """PSF of a mask by exact area integration, float32 [k, k], unit sum.
+    """PSF of a mask by exact integration over its openings, float32 [k, k], unit sum.
 
-    A pixel's value is the mask's transmission integrated over the pixel's square, divided by the
-    sum. Cells and pixels are both rectangles, so the integral is the exact overlap, separable
-    into `A @ T @ B.T`, and smooth in the blur size.
+    Light through a point of the mask arrives shifted by a part of the blur size, mostly not by
+    whole pixels. Between pixels the sharp picture is interpolated linearly, so a pixel's value is
+    the integral of the mask's transmission times a triangle of 2 px around the pixel. The integral
+    is exact, separable into `A @ T @ B.T`, and smooth in the blur size. Sums over a pixel's square
+    alone would call blur sizes up to 1 px a point, and those of small openings alike.
 
     Parameters
     ----------
@@ -62,8 +64,8 @@ def render_psf(
     Examples
     --------
     >>> from coded_aperture_ros.optics import Mask, render_psf
-    >>> render_psf(Mask.named("two_hole"), 17.0)[8, ::4].tolist()
-    [0.03125, 0.0, 0.0, 0.0, 0.03125]
+    >>> render_psf(Mask.named("two_hole"), 17.0)[9, ::3].tolist()
+    [0.00390625, 0.03125, 0.0, 0.0, 0.0, 0.03125, 0.00390625]
     """
     size = abs(float(blur_size_px))
     if not np.isfinite(size):
@@ -77,8 +79,8 @@ def render_psf(
         cells = cells[::-1, ::-1]
     pixels = psf_width(size) if width_px is None else width_px
     cell_px = max(size, _MIN_SIZE_PX) / max(cells.shape)
-    rows = cell_shares(pixels, cells.shape[0], cell_px, centre_px[0])
-    columns = cell_shares(pixels, cells.shape[1], cell_px, centre_px[1])
+    rows = interpolated_shares(pixels, cells.shape[0], cell_px, centre_px[0])
+    columns = interpolated_shares(pixels, cells.shape[1], cell_px, centre_px[1])
     psf = rows @ cells @ columns.T
     if not psf.any():
         raise InputError(f"blur size {blur_size_px:g} px: nothing lies within {pixels} px")
@@ -93,20 +95,20 @@ def psf_width(blur_size_px: float) -> int:
     >>> psf_width(4.0), psf_width(-5.5)
     (5, 7)
     """
-    return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
+    return 2 * int(np.ceil(abs(blur_size_px) / 2.0)) + 1
 
 
-def cell_shares(pixels: int, cells: int, cell_px: float, offset_px: ArrayLike = 0.0) -> DoubleArray:
-    """Share of each cell that each pixel covers, along one axis [..., pixels, cells].
+def interpolated_shares(pixels: int, cells: int, cell_px: float, offset_px: float) -> DoubleArray:
+    """Weight of each pixel for light of each cell, along one axis [pixels, cells].
 
-    Cells are `cell_px` wide. `offset_px`, of any shape [...], is the shift of the middle of the
-    cells from the middle of the pixels.
+    The mean over a cell of the weights of linear interpolation between pixels. Cells are `cell_px`
+    wide, and their middle is `offset_px` from that of the pixels.
     """
-    pixel_edges = np.arange(pixels + 1)[:, None] - pixels / 2.0
-    cell_edges = (np.arange(cells + 1) - cells / 2.0) * cell_px
-    cell_edges = cell_edges + np.asarray(offset_px)[..., None, None]
-    covered = np.clip(pixel_edges, cell_edges[..., :-1], cell_edges[..., 1:])
-    return np.asarray(np.diff(covered, axis=-2) / cell_px)
+    places = (np.arange(pixels) - (pixels - 1) / 2.0)[:, None]
+    cell_edges = (np.arange(cells + 1) - cells / 2.0) * cell_px + offset_px
+    beside = np.clip(cell_edges - places, -1.0, 1.0)
+    integral = beside - np.sign(beside) * beside**2 / 2
+    return np.asarray(np.diff(integral, axis=-1) / cell_px)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -139,7 +141,7 @@ class PsfStack:
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
     >>> stack = render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0])
     >>> len(stack), stack.psfs.shape
-    (3, (3, 7, 7))
+    (3, (3, 9, 9))
     """
 
     blur_sizes_px: DoubleArray

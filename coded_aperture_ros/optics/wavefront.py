@@ -1,6 +1,7 @@
 """The blur of a real lens over its field: aberrations, and rims that cut off the pupil's edge."""
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Mapping
 from functools import lru_cache
@@ -136,10 +137,7 @@ class Wavefront:
         moved, passed = self.trace(
             pupil_points, blur_size_px, per_dioptre_px, np.asarray(tangent, float)
         )
-        pixel = np.floor(moved + width / 2).astype(np.intp)
-        seen = ((pixel >= 0) & (pixel < width)).all(axis=0)
-        index = np.ravel_multi_index(tuple(pixel[:, seen]), (width, width))
-        psf = np.bincount(index, (light * passed)[seen], width * width).reshape(width, width)
+        psf = _shared_by_pixels(moved + (width - 1) / 2, light * passed, width)
         if not psf.sum() > _MIN_LIGHT * light.sum():
             raise InputError("wavefront: the rims leave no light: check rims and corner")
         return (psf / psf.sum()).astype(np.float32)
@@ -211,6 +209,20 @@ class Wavefront:
             if m and strength:
                 angular_part += m * strength * radial[half] * angular[m - 1]
         return radial_part * p + angular_part, radial_part * q
+
+
+def _shared_by_pixels(places: DoubleArray, light: DoubleArray, width: int) -> DoubleArray:
+    """Light [n] at places [2, n], each shared by the four pixels around it [width, width]."""
+    first = np.floor(places).astype(np.intp)
+    beyond = places - first
+    found = np.zeros(width * width)
+    for down, right in itertools.product((0, 1), repeat=2):
+        pixel = first + np.array([[down], [right]])
+        share = np.abs(1 - down - beyond[0]) * np.abs(1 - right - beyond[1])
+        seen = ((pixel >= 0) & (pixel < width)).all(axis=0)
+        index = np.ravel_multi_index(tuple(pixel[:, seen]), (width, width))
+        found += np.bincount(index, (light * share)[seen], width * width)
+    return found.reshape(width, width)
 
 
 @lru_cache(maxsize=16)

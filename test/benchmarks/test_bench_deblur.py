@@ -23,7 +23,7 @@ from coded_aperture_benchmarks.thesis.reference.deblurring import (
     best_strength,
     deblur_by_planes,
 )
-from coded_aperture_benchmarks.thesis.stair import make_stair
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack, make_stair
 from coded_aperture_benchmarks.thesis.tables import thesis_deblurring_error
 from scipy.signal import fftconvolve
 
@@ -134,7 +134,7 @@ def test_the_sharp_picture_of_a_stair_is_what_was_blurred():
 )
 def test_reference_methods_deblur_every_pixel_with_its_level(method, strength, share):
     pytest.importorskip("skimage")
-    stack = render_psf_stack(LEVIN, [4.0, 8.0])
+    stack = area_psf_stack(LEVIN, [4.0, 8.0])
     sharp = texture(100, 160)
     row, column = np.indices(sharp.shape)
     level = (column > row + 30).astype(int)  # the boxes of both levels overlap

@@ -12,12 +12,13 @@ from coded_aperture_benchmarks.thesis.reference import (
     HypothesisPlanes,
     deconvolve,
 )
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank import power_spectrum
-from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
+from coded_aperture_ros.optics import Mask
 
-STACK = render_psf_stack(Mask.named("levin"), [7, 10, 13, 16])
+STACK = area_psf_stack(Mask.named("levin"), [7, 10, 13, 16])
 MARGIN = STACK.psfs.shape[1] // 2
 IDENTITY = np.ones((1, 1), np.float32)
 
@@ -86,7 +87,7 @@ def restoration_error(method, sharp, psf, noise):
 @pytest.mark.parametrize("method", REFERENCE_METHODS)
 def test_the_true_psf_sharpens(method):
     # A mask without any symmetry: its PSF must be undone, not applied once more.
-    psf = render_psf(Mask.named("veeraraghavan"), 12)
+    psf = area_psf_stack(Mask.named("veeraraghavan"), [12.0]).psfs[0]
     restored, coded = restoration_error(method, texture((120, 120), 3), psf, 0.0)
     assert restored < 0.9 * coded
 

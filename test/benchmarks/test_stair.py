@@ -6,6 +6,7 @@ from coded_aperture_benchmarks.datasets import textures as module
 from coded_aperture_benchmarks.datasets.textures import load_textures, training_textures
 from coded_aperture_benchmarks.thesis.reference.subspace_distances import LETTER_OF_MASK
 from coded_aperture_benchmarks.thesis.stair import (
+    area_psf_stack,
     blur_stack,
     level_error,
     make_stair,
@@ -21,7 +22,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.metrics import Reliability
-from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
+from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 FOUR_HOLE, LEVIN = Mask.named("four_hole"), Mask.named("levin")
 RANDOM = load_textures("random")
@@ -55,7 +56,7 @@ def test_every_step_shows_a_point_as_its_own_psf():
     mask = Mask("lopsided", np.array([[1, 1, 1], [0, 1, 0], [0, 0, 0]], np.float32))
     stair = make_stair(mask, Marked(reach + side // 2, reach + side // 2), levels=4, side_px=side)
     for step, size in enumerate(stair.stack.blur_sizes_px):
-        psf = render_psf(mask, size)
+        psf = area_psf_stack(mask, [size]).psfs[0]
         expected = np.zeros((side, side))
         half = len(psf) // 2
         around = slice(side // 2 - half, side // 2 + half + 1)

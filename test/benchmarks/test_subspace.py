@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from coded_aperture_benchmarks.thesis.reference.subspace import learn_subspace_bank
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack
 from scipy.signal import fftconvolve
 from textures import blurred_texture
 
@@ -11,7 +12,7 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.scoring import TEMPERATURE
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import Mask
 
 SIZES = np.linspace(3.0, 9.0, 5)
 PATCH, RANK = 15, 60
@@ -19,7 +20,7 @@ PATCH, RANK = 15, 60
 
 @pytest.fixture(scope="module")
 def stack():
-    return render_psf_stack(Mask.named("levin"), SIZES)
+    return area_psf_stack(Mask.named("levin"), SIZES)
 
 
 @pytest.fixture(scope="module")
@@ -135,6 +136,6 @@ def test_impossible_settings_are_refused(stack, settings, message):
 def test_unusable_levels_are_refused():
     mask = Mask.named("disc")
     with pytest.raises(InputError, match="at least 2 levels, got 1"):
-        learn_subspace_bank(render_psf_stack(mask, [5.0]))
+        learn_subspace_bank(area_psf_stack(mask, [5.0]))
     with pytest.raises(InputError, match="a PSF of 21 px does not fit the 15 px patch"):
-        learn_subspace_bank(render_psf_stack(mask, [5.0, 20.0]), 15)
+        learn_subspace_bank(area_psf_stack(mask, [5.0, 20.0]), 15)

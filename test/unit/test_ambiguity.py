@@ -65,7 +65,7 @@ def published(bank, camera, frame, how, periodic):
 def test_a_wall_of_wood_is_not_told_to_be_near(bank, camera, how, period_px, contrast):
     frame = wall(camera, grain(period_px), contrast)
     before, right = published(bank, camera, frame, how, periodic=False)
-    assert before > 0.2 and right < 0.01  # all of it wrong
+    assert before > 0.15 and right < 0.01  # all of it wrong
     after, _ = published(bank, camera, frame, how, periodic=True)
     assert after < 0.02
 

@@ -194,7 +194,7 @@ def test_missing_pixels_are_filled_from_their_surroundings(stack):
 @pytest.mark.parametrize("shape", [(208, 272), (187, 255)])
 def test_the_lower_half_of_the_frequencies_is_deblurred_as_by_all(stack, sharp, shape):
     """A wide PSF leaves nothing in the upper half, which does not count here."""
-    smooth = ndimage.gaussian_filter(sharp, 1.2)[: shape[0], : shape[1]]
+    smooth = ndimage.gaussian_filter(sharp, 1.5)[: shape[0], : shape[1]]
     coded = blurred(smooth, 9.0, 0.0005)
     blur = np.full(shape, 9.0, np.float32)
     half = deblurrer(band="half").deblur(coded, blur)

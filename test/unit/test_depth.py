@@ -181,7 +181,7 @@ def test_confidence_tells_right_from_wrong(bank, camera, regularize):
     estimate = DepthEstimator(bank, config).estimate(frame)
     confidence = estimate.confidence
     assert (confidence.min() >= 0) and (confidence.max() <= 1)
-    assert np.median(confidence[:, :96]) > 0.75
+    assert np.median(confidence[:, :96]) > 0.7
     # The network goes on with what is around, and is a little surer that it is so.
     assert np.median(confidence[:, 176:]) < (0.35 if regularize == "learned" else 0.3)
     thresholded = estimate.where_confident(0.5)

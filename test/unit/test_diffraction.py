@@ -33,15 +33,15 @@ from coded_aperture_ros.simulation import render_coded_frame
 SQUARE = Mask("square", np.ones((1, 1)))
 
 
-def by_sums(mask, size_px, width_px, q, points=1600, per_px=64):
-    """The diffraction integral as a plain sum over points of the mask, and of a pixel."""
+def by_sums(mask, size_px, width_px, q, points=1600, per_px=160):
+    """The diffraction integral as a plain sum over points of the mask, shared between pixels."""
     cells = np.kron(mask.transmission, np.ones((points // len(mask.transmission),) * 2))
     x = (np.arange(len(cells)) + 0.5) / len(cells) - 0.5
     pupil = np.sqrt(cells) * np.exp(1j * np.pi * size_px / q * (x[:, None] ** 2 + x**2))
-    u = (np.arange(width_px * per_px) + 0.5) / per_px - width_px / 2
+    u = (np.arange((width_px + 1) * per_px) + 0.5) / per_px - (width_px + 1) / 2
+    shares = np.clip(1 - np.abs(u - np.arange(width_px)[:, None] + (width_px - 1) / 2), 0, None)
     kernel = np.exp(-2j * np.pi * u[:, None] * x / q)
-    light = np.abs(kernel @ pupil @ kernel.T) ** 2
-    return light.reshape(width_px, per_px, width_px, per_px).sum(axis=(1, 3))
+    return shares @ np.abs(kernel @ pupil @ kernel.T) ** 2 @ shares.T
 
 
 def minima(profile):

@@ -209,7 +209,7 @@ def test_depth_of_what_is_at_infinity_on_the_axis_has_a_deviation():
 @pytest.mark.slow
 def test_planes_of_a_lens_with_field_curvature_pass_and_give_its_bank(tmp_path, capsys, caplog):
     # More curved than planes by themselves can be explained with.
-    bent = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(3.0, -4.0))
+    bent = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(4.0, -5.0))
     files = [f"{index}.png" for index in range(len(DEPTHS_M))]
     for seed, (name, depth_m) in enumerate(zip(files, DEPTHS_M, strict=True)):
         write_image(tmp_path / name, plane(bent, depth_m, seed))

@@ -256,8 +256,8 @@ def test_maps_of_another_size(bank):
     frame = moving_plane(2, (6.0, 0.0))
     found = DepthEstimator(MotionModel(bank, MOTION), CONFIG).estimate(frame, (64, 80))
     assert found.level.shape == found.values("motion/confidence").shape == (64, 80)
-    # In pixels of the frame all the same.
-    assert np.median(found.values("motion")[..., 0]) == pytest.approx(6, abs=0.2)
+    # In pixels of the frame all the same; the motions that are tried are 3 px apart.
+    assert np.median(found.values("motion")[..., 0]) == pytest.approx(6, abs=0.6)
 
 
 def test_threads_and_subsets_change_nothing(bank):

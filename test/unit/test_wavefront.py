@@ -67,7 +67,9 @@ def test_defocus_is_blur_size():
 def test_astigmatism_narrows_along_the_field():
     lens = wavefront(W222=-0.2)
     down, across = (psf(lens, 14.0, t) for t in ((CORNER, 0.0), (0.0, CORNER)))
-    seen = np.ptp(np.argwhere(down > 0), axis=0) + 1
+    # Light is shared with the next pixel: at its ends there is less than half of it.
+    sides = [down.sum(axis=axis) for axis in (1, 0)]
+    seen = np.array([np.ptp(np.flatnonzero(side > side.mean() / 2)) + 1 for side in sides])
     # 2 dW222 / 4 of M f: along the field alone.
     assert seen.tolist() == [pytest.approx(14 - 0.2 * 18, abs=2), pytest.approx(14, abs=2)]
     levin_turned = Mask("turned", LEVIN.transmission.T)

@@ -9,6 +9,7 @@ from coded_aperture_benchmarks.thesis.stair import (
     LARGEST_BLUR_PX,
     LEVELS,
     SMALLEST_BLUR_PX,
+    area_psf_width,
     blur_stack,
     check_frame_options,
     crops_generator,
@@ -17,7 +18,7 @@ from coded_aperture_benchmarks.thesis.stair import (
 )
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.crops import Textures
-from coded_aperture_ros.optics import Mask, PsfStack, psf_width
+from coded_aperture_ros.optics import Mask, PsfStack
 
 SHAPE = (320, 480)
 NEAR_EDGE_PX = 16.0
@@ -65,7 +66,7 @@ def composite(
 
         g(x) = integral T(u) [ a(x - s1 u) f(x - s1 u) + (1 - a(x - s1 u)) b(x - s2 u) ] du
 
-    Pictures are constant within a pixel, as in `coded_aperture_ros.optics.render_psf`. So the
+    Pictures are constant within a pixel, as in `thesis.stair.area_psf_stack`. So the
     integrand changes only where ``s1 u`` or ``s2 u`` passes the border between two pixels; between
     those places the integral is the exact overlap with the mask's cells. Without an edge this is
     the convolution with that PSF.
@@ -123,7 +124,7 @@ def _check_shapes(
 
 def reach_px(*blur_sizes_px: float) -> int:
     """Return how far, in pixels, the largest of the blurs reaches to each side."""
-    return max(psf_width(size) for size in blur_sizes_px) // 2
+    return max(area_psf_width(size) for size in blur_sizes_px) // 2
 
 
 def _displacements(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from coded_aperture_benchmarks.thesis.stair import crops_generator, with_noise
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack, crops_generator, with_noise
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.design.fragmentation import (
     BLUR_SIZES_PX,
@@ -22,7 +22,7 @@ from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
 from coded_aperture_ros.likelihood.motion import MotionConfig, blurred_psf, learn_motion_bank
 from coded_aperture_ros.likelihood.motion.engine import MotionEngine
-from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.optics import Mask, PsfStack
 
 # Size of the images, numbers of levels, directions and lengths of thesis 7.6.1.
 SIDE_PX = 70
@@ -106,7 +106,7 @@ def identify_motions(
     dict
         `defocus`, `direction` and `length`.
     """
-    motions, stack = table_motions(), render_psf_stack(mask, BLUR_SIZES_PX)
+    motions, stack = table_motions(), area_psf_stack(mask, BLUR_SIZES_PX)
     engine = _engine(stack, window_px, config or MotionConfig())
     reach = (stack.psfs.shape[-1] + int(np.ceil(motions.longest_px))) // 2 + 1
     whole = SIDE_PX + 2 * reach

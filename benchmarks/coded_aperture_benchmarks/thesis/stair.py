@@ -3,12 +3,13 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.crops import Textures
-from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
+from coded_aperture_ros.optics import Mask, PsfStack
+from coded_aperture_ros.optics.pixels import cell_shares
 
 SMALLEST_BLUR_PX = 7.0
 LARGEST_BLUR_PX = 30.0
@@ -16,6 +17,7 @@ LEVELS = 39
 SIDE_PX = 125
 # Noise and crops come from generators of their own: the crops stay when the noise changes.
 _CROPS, _NOISE = 0, 1
+_POINT_PX = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -47,7 +49,33 @@ def blur_stack(mask: Mask, levels: int = LEVELS) -> PsfStack:
     """Return the PSFs of thesis 6.3.1: `levels` blur sizes, equally spaced from 7 to 30 px."""
     if levels < 2:
         raise InputError(f"levels: at least 2 are needed, got {levels}")
-    return render_psf_stack(mask, np.linspace(SMALLEST_BLUR_PX, LARGEST_BLUR_PX, levels))
+    return area_psf_stack(mask, np.linspace(SMALLEST_BLUR_PX, LARGEST_BLUR_PX, levels))
+
+
+def area_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
+    """Return PSFs as the thesis has them: the mask's transmission, summed over squares of pixels.
+
+    So a picture is constant within each of its pixels, where
+    `coded_aperture_ros.optics.render_psf` interpolates it.
+    """
+    sizes = np.asarray(blur_sizes_px, dtype=np.float64)
+    width = area_psf_width(float(np.abs(sizes).max()))
+    psfs = []
+    for size in sizes:
+        cells = mask.transmission.astype(np.float64)
+        if size < 0:
+            cells = cells[::-1, ::-1]
+        # A point where there is no blur.
+        cell_px = max(abs(size), _POINT_PX) / max(cells.shape)
+        rows, columns = (cell_shares(width, count, cell_px) for count in cells.shape)
+        psf = rows @ cells @ columns.T
+        psfs.append(psf / psf.sum())
+    return PsfStack(sizes, np.array(psfs, np.float32))
+
+
+def area_psf_width(blur_size_px: float) -> int:
+    """Return the smallest odd number of pixels whose squares cover a centred PSF."""
+    return 2 * int(np.ceil(max(abs(blur_size_px) - 1.0, 0.0) / 2.0)) + 1
 
 
 def noise_behind(mask: Mask, sigma: float) -> float:

@@ -16,7 +16,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, I
 from coded_aperture_ros.frames import channel_mean
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
-from coded_aperture_ros.optics.psf import cell_shares, psf_width
+from coded_aperture_ros.optics.psf import interpolated_shares, psf_width
 
 SLOPES = (1.6, 2.4, 3.2)
 _MODEL_ERROR = 3e-4
@@ -93,9 +93,9 @@ class MaskSpectra:
 
 
 def _renderers(pixels: int, cells: int, sizes_px: NDArray) -> NDArray:
-    """Share of every cell's light that falls onto each pixel, one axis [I, pixels, cells]."""
+    """Weights of pixels for the light of cells, one axis [I, pixels, cells]."""
     widths = np.maximum(sizes_px, 1e-3) / cells
-    return np.array([cell_shares(pixels, cells, width) for width in widths])
+    return np.array([interpolated_shares(pixels, cells, width, 0.0) for width in widths])
 
 
 def half_plane(reach: int) -> IndexArray:

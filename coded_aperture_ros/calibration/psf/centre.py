@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import optimize
 
-from coded_aperture_ros.calibration.psf.fine import FinePsf, centred_steps, centroids
+from coded_aperture_ros.calibration.psf.fine import FinePsf, centred_steps, centroids, mask_psf
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.optics import Mask, render_psf
+from coded_aperture_ros.optics import Mask, psf_width
 
 # What a PSF is at whole pixels, its origin at a place (down, right) from their middle.
 PsfAt = Callable[[DoubleArray], DoubleArray]
@@ -47,8 +47,8 @@ class CentredPsf:
     misfit: float  # relative difference (norm) from the mask's rendered PSF; NaN without a mask
 
     def psf(self, width: int, scale: float = 1.0) -> DoubleArray:
-        """PSF as pixels record it [width, width], `scale` times as wide as measured."""
-        return finished(self.fine.at(width, self.place * scale, scale))
+        """PSF of pictures [width, width], `scale` times as wide as measured."""
+        return finished(self.fine.interpolated(width, self.place * scale, scale))
 
 
 def centred(
@@ -89,11 +89,11 @@ def _best_mask_fit(
     """Misfit, blur size and middle of the mask's PSF that is most like the measured one."""
     width = psfs.shape[1]
     flat = psfs.ravel()
-    aside, mask_spread = _moments(render_psf(mask, _LARGE_PX).astype(np.float64))
+    aside, mask_spread = _moments(mask_psf(mask, _LARGE_PX).at(psf_width(_LARGE_PX)))
 
     def difference(x: DoubleArray) -> DoubleArray:
-        models = [render_psf(mask, x[2], width, tuple(x[:2] + phase)) for phase in _PHASES]
-        model = np.stack(models).ravel().astype(np.float64)
+        fine = mask_psf(mask, x[2])
+        model = np.stack([fine.at(width, x[:2] + phase) for phase in _PHASES]).ravel()
         return np.asarray(flat - model * (flat @ model) / (model @ model))
 
     fits = []

@@ -21,7 +21,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames import channel_mean
 from coded_aperture_ros.optics import Mask
-from coded_aperture_ros.optics.psf import cell_shares
+from coded_aperture_ros.optics.pixels import cell_shares
 
 _MIN_DOTS = 9
 _MAX_MISSING_SHARE = 0.2

@@ -7,6 +7,7 @@ PSF.
 """
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,10 +15,13 @@ from numpy.typing import ArrayLike, NDArray
 from coded_aperture_ros.calibration.mask.cells import square_cells
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, IndexArray
 from coded_aperture_ros.optics import Mask
-from coded_aperture_ros.optics.psf import cell_shares
+from coded_aperture_ros.optics.pixels import cell_shares
+from coded_aperture_ros.optics.psf import interpolated_shares
 
 _ITERATIONS = 60
 _MIN_LIGHT_SHARE = 0.04
+# A point where there is no blur.
+_POINT_PX = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,13 +32,25 @@ class FinePsf:
     cell_px: float  # width of a cell in px
 
     def at(self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0) -> DoubleArray:
-        """Light of the pixels [width, width] with the origin at `centre` from their middle.
+        """What pixels [width, width] record of a point, its origin at `centre` from their middle.
 
         `centre` is down and right in px, `width` odd; the PSF is `scale` times as wide as measured.
         """
-        down, right = np.asarray(centre, np.float64)
-        rows = cell_shares(width, len(self.light), self.cell_px * scale, down)
-        columns = cell_shares(width, len(self.light), self.cell_px * scale, right)
+        return self._rendered(cell_shares, width, centre, scale)
+
+    def interpolated(
+        self, width: int, centre: ArrayLike = (0.0, 0.0), scale: float = 1.0
+    ) -> DoubleArray:
+        """PSF of pictures that are interpolated between pixels, as `render_psf`; like `at`."""
+        return self._rendered(interpolated_shares, width, centre, scale)
+
+    def _rendered(
+        self, shares: Callable[..., DoubleArray], width: int, centre: ArrayLike, scale: float
+    ) -> DoubleArray:
+        rows, columns = (
+            shares(width, len(self.light), self.cell_px * scale, offset)
+            for offset in np.asarray(centre, np.float64)
+        )
         return np.asarray(rows @ self.light @ columns.T)
 
 
@@ -43,7 +59,7 @@ def mask_psf(mask: Mask, blur_size_px: float) -> FinePsf:
     cells = square_cells(mask)
     if blur_size_px < 0:
         cells = cells[::-1, ::-1]
-    return FinePsf(cells / cells.sum(), abs(blur_size_px) / len(cells))
+    return FinePsf(cells / cells.sum(), max(abs(blur_size_px), _POINT_PX) / len(cells))
 
 
 def fit_fine(

@@ -87,7 +87,7 @@ class LearnedPattern(ThinLens):
     >>> mask = Mask.named("levin")
     >>> pattern = LearnedPattern(29.0, 1.0, mask, mask.transmission[None], 1.0, 640)
     >>> pattern.components([5.0, 7.0]).shape
-    (1, 2, 7, 7)
+    (1, 2, 9, 9)
     """
 
     mask: Mask  # of the PSFs; blur sizes are the extent of its grid

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Mask
-from coded_aperture_ros.optics.psf import cell_shares
+from coded_aperture_ros.optics.pixels import cell_shares
 
 # Layers are drawn on canvases this much finer than the frame.
 FINENESS = 2

@@ -8,10 +8,11 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 
+from coded_aperture_benchmarks.thesis.stair import area_psf_stack
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
-from coded_aperture_ros.optics import Mask, render_psf
+from coded_aperture_ros.optics import Mask
 
 _PATCH_PX = 33
 # Blurred patches have next to nothing above these lowest cosines in each direction, and a basis of
@@ -74,8 +75,8 @@ def subspace_distances(
     texture = power_spectrum(_SLOPE, (_TORUS_PX, _TORUS_PX))
     full = np.concatenate([texture, texture[:, -2:0:-1]], axis=1)
     rank, vectors = _COSINES**2, []
-    for size in sizes:
-        transfer = np.abs(scipy.fft.fft2(render_psf(mask, size), (_TORUS_PX, _TORUS_PX))) ** 2
+    for psf in area_psf_stack(mask, sizes).psfs:
+        transfer = np.abs(scipy.fft.fft2(psf, (_TORUS_PX, _TORUS_PX))) ** 2
         values, basis = scipy.linalg.eigh(_covariance(full * transfer, transform))
         rank = min(rank, int(np.count_nonzero(values > noise)))
         vectors.append(basis[:, ::-1])
