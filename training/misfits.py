@@ -69,6 +69,9 @@ _CAMERA_SHARE = 0.6
 _BOARD_EVERY = 6
 _BADLY_CUT_EVERY = 6
 _NARROWEST_PX = 1.2
+# From this shard of boards on their blur is small: there masks are told apart the least.
+_FIRST_NEAR_SHARD = 440
+_NEAR_PX = 6.0
 # Where all frames show boards: how many are soft, and the Gauss filter that they are softened by.
 _SOFT_SHARE = 0.7
 _PHOTOGRAPH_SHARE = 0.7
@@ -114,6 +117,8 @@ def _scene(number: int, folder: Path) -> LayeredScene:
         return scene
     # As where a lens is calibrated: no other surface tells the bank's other levels from beyond.
     widest = float(np.nanmax(np.abs(scene.blur_size_px())))
+    if number >= _FIRST_NEAR_SHARD * FRAMES_PER_SHARD:
+        widest = min(widest, _NEAR_PX)
     random = np.random.default_rng([22, number])
     size = float(np.exp(random.uniform(*np.log([_NARROWEST_PX, max(widest, 2.0)]))))
     sign = -1.0 if plan.side == "near" else 1.0
