@@ -20,7 +20,13 @@ from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.design.choice import Wanted, load_offer
-from coded_aperture_ros.design.relief import ReliefScene, flat_scene, part_of_image, relief_scene
+from coded_aperture_ros.design.relief import (
+    SUPERSAMPLING,
+    ReliefScene,
+    flat_scene,
+    part_of_image,
+    relief_scene,
+)
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
@@ -28,7 +34,6 @@ from coded_aperture_ros.likelihood.bank import (
 )
 from coded_aperture_ros.likelihood.bank.for_camera import guarded_range
 from coded_aperture_ros.optics import Camera
-from coded_aperture_ros.simulation import render_coded_frame
 
 # What stands below this line of the page is written anew.
 MARK = "<!-- sheets -->"
@@ -51,7 +56,7 @@ def check_page(path: Path) -> None:
 def frame_times(camera: Camera, range_m: tuple[float, float], bank: FilterBank) -> Row:
     """Median times of whole frames of a video, and of the first one."""
     scene = flat_scene(0, 0.5, (camera.image_width, camera.image_height))
-    frame = render_coded_frame(scene.reflectance, scene.depth_m(*range_m), camera)
+    frame = scene.light(camera, *range_m)
     found: Row = {"processors": processors()}
     for name, regularize in (("refined", "learned"), ("semiglobal", "semiglobal")):
         config = DepthConfig(temporal_frames=VIDEO_FRAMES, regularize=regularize)
@@ -99,9 +104,9 @@ def scene_picture(path: Path, scene: ReliefScene, results: Row) -> NDArray[np.ui
         sheet["range_m"] for sheet in results["sheets"] if sheet["file"] == str(path)
     )
     wanted = Wanted(near_m, far_m, 0.0, results["illuminance_lux"], results["rate_hz"])
-    part = part_of_image(camera, scene.place.shape)
-    true_m = scene.depth_m(near_m, far_m)
-    light = render_coded_frame(scene.reflectance, true_m, part)
+    part = part_of_image(camera, scene.pixel_place.shape)
+    true_m = scene.depth_m(near_m, far_m)[::SUPERSAMPLING, ::SUPERSAMPLING]
+    light = scene.light(part, near_m, far_m)
     frame = wanted.exposure(offer.sensor).exposed(light, camera, np.random.default_rng(0))
     bank = learn_bank_for_camera(camera, *guarded_range(camera, near_m, far_m, DEFAULT_LEVEL_COUNT))
     estimator = DepthEstimator(bank, DepthConfig(), part)

@@ -35,6 +35,8 @@ _REFLECTANCE = (0.12, 0.5)
 _CONTRAST = (0.2, 0.5)
 _DARKEST = 0.01
 _BRIGHTEST = 0.95
+# Samples of scenes along each side of a pixel: what is finer than a pixel is there, as on a sensor.
+SUPERSAMPLING = 2
 # The PSF of a thin lens is the same all over the image: a part of it shows as much.
 SCENE_PX = (320, 240)
 # Parts from the middle to the corner where it is not.
@@ -43,10 +45,23 @@ _PARTS = 4
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReliefScene:
-    """A sharp picture with the place of every pixel between the ends of a range."""
+    """A sharp picture with the place of every point between the ends of a range.
+
+    Rows and columns are those of samples, `SUPERSAMPLING` to each side of a pixel.
+    """
 
     reflectance: FloatArray  # [rows, columns]
     place: FloatArray  # [rows, columns], from 0, the nearest, to 1; NaN where unknown
+
+    @property
+    def pixel_place(self) -> FloatArray:
+        """Place of every pixel."""
+        return self.place[::SUPERSAMPLING, ::SUPERSAMPLING]
+
+    def light(self, camera: Camera, near_m: float, far_m: float) -> FloatArray:
+        """Light on every pixel of a camera that the scene is put before, in a range."""
+        depth_m = self.depth_m(near_m, far_m)
+        return render_coded_frame(self.reflectance, depth_m, camera, supersampling=SUPERSAMPLING)
 
     def depth_m(self, near_m: float, far_m: float) -> FloatArray:
         """Depth [rows, columns] in a range, m: places are even in the inverse of the depth."""
@@ -76,16 +91,17 @@ def relief_scene(
 ) -> ReliefScene:
     """Random scene: a slanted wall, and objects before it, so many times as large in pixels.
 
-    `size` is width and height.
+    `size` is width and height, px.
 
     Examples
     --------
     >>> scene = relief_scene(0)
-    >>> scene.place.shape, float(scene.place.min()) >= 0, float(scene.place.max()) <= 1
+    >>> scene.pixel_place.shape, float(scene.place.min()) >= 0, float(scene.place.max()) <= 1
     ((240, 320), True, True)
     """
     random = np.random.default_rng([58, seed])
-    width, height = size
+    width, height = size = SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]
+    magnification *= SUPERSAMPLING
     y, x = np.mgrid[:height, :width].astype(np.float32)
     across, down = random.uniform(-0.25, 0.25, 2)
     place = 0.85 + across * (x / width - 0.5) + down * (y / height - 0.5)
@@ -110,12 +126,15 @@ def relief_scene(
 def flat_scene(seed: int, place: float, size: tuple[int, int] = SCENE_PX) -> ReliefScene:
     """Plane with a random texture at one place of a range.
 
+    `size` is width and height, px.
+
     Examples
     --------
     >>> float(flat_scene(0, 1.0).place.min())
     1.0
     """
-    picture = _surface(np.random.default_rng([59, seed]), size)
+    samples = SUPERSAMPLING * size[0], SUPERSAMPLING * size[1]
+    picture = _surface(np.random.default_rng([59, seed]), samples)
     return ReliefScene(picture, np.full_like(picture, place))
 
 
@@ -166,17 +185,17 @@ def measure_scenes(
     """
     camera = dataclasses.replace(camera, diffraction=True, noise=0.0, noise_gain=0.0)
     bank = learn_bank_for_camera(camera, *guarded_range(camera, *range_m, DEFAULT_LEVEL_COUNT))
-    places, errors, estimator = [], [], None
+    places, errors = [], []
     for number, scene in enumerate(scenes):
-        part = part_of_image(camera, scene.place.shape, number)
-        true_m = scene.depth_m(*range_m)
-        light = render_coded_frame(scene.reflectance, true_m, part)
+        part = part_of_image(camera, scene.pixel_place.shape, number)
+        light = scene.light(part, *range_m)
         frame = exposure.exposed(light, camera, np.random.default_rng(number))
         estimator = DepthEstimator(bank, DepthConfig(), part)
         depth_m = np.asarray(estimator.estimate(frame).depth_m)
         estimator.close()
-        known = np.isfinite(scene.place)
-        places.append(scene.place[known])
+        true_m = scene.depth_m(*range_m)[::SUPERSAMPLING, ::SUPERSAMPLING]
+        known = np.isfinite(true_m)
+        places.append(scene.pixel_place[known])
         errors.append(np.abs(depth_m / true_m - 1)[known])
     return _by_distance(np.concatenate(places), np.concatenate(errors), range_m, bins)
 

@@ -42,8 +42,9 @@ def render_coded_frame(
     *,
     layer_spacing_px: float = 0.5,
     aperture_blocks: int = 3,
+    supersampling: int = 1,
 ) -> FloatArray:
-    """Frame of a coded-aperture camera, without noise, float32, shape of `image`.
+    """Frame of a coded-aperture camera, without noise, float32.
 
     Parameters
     ----------
@@ -53,25 +54,31 @@ def render_coded_frame(
         m; in front of or beyond the focal plane. Unknown (NaN) depth is taken from the farther
         known neighbour, left or right.
     camera : Camera
-        Its focal length in pixels must be that of the image; its image size is not used.
+        Its focal length in pixels must be that of the frame; its image size is not used.
     layer_spacing_px : float, optional
         Distance between layers in blur size, px.
     aperture_blocks : int, optional
         Blocks of the aperture in each direction. More blocks are more exact around occluding edges,
         and slower.
+    supersampling : int, optional
+        Samples of `image` and `depth_m` along each side of a pixel of the frame, at which light is
+        blurred before each pixel takes the mean of its own. With 1, what is between the pixels is
+        as PSFs interpolate it, which banks do, too: blur of less than 4 px is told more easily then
+        than a sensor tells it.
 
     Returns
     -------
-    ndarray of float32, shape of `image`
-        Linear light. A scene in one plane is exactly the image convolved with `render_psf`, with
-        the image's edges replicated; with diffraction, but for the tails that the blocks' PSFs
-        lack. With a wavefront, each part of the image has the PSF of its middle, and light does not
-        fall off.
+    ndarray of float32, [h / supersampling, w / supersampling] or the same with 3 channels
+        Linear light. Without supersampling, a scene in one plane is exactly the image convolved
+        with `render_psf`, with the image's edges replicated; with diffraction, but for the tails
+        that the blocks' PSFs lack. With a wavefront, each part of the image has the PSF of its
+        middle, and light does not fall off.
 
     Raises
     ------
     InputError
-        If the shapes differ, a depth is not positive, or no depth is known.
+        If the shapes differ or are no multiples of `supersampling`, a depth is not positive, or no
+        depth is known.
 
     References
     ----------
@@ -88,13 +95,27 @@ def render_coded_frame(
     >>> coded.shape, round(float(coded.mean()), 3)
     ((48, 64), 0.5)
     """
-    _check(image, depth_m, layer_spacing_px, aperture_blocks)
-    blur_size_px = _blur_sizes(fill_unknown(depth_m), camera)
+    _check(image, depth_m, layer_spacing_px, aperture_blocks, supersampling)
+    fine = camera.scaled(supersampling)
+    blur_size_px = _blur_sizes(fill_unknown(depth_m), fine)
     colours = np.asarray(image, dtype=np.float32).reshape(*depth_m.shape, -1)
-    if camera.wavefront is None:
-        frame = _compose(colours, blur_size_px, camera, layer_spacing_px, aperture_blocks)
-        return frame.reshape(image.shape)
-    frame, (rows, columns) = np.empty_like(colours), depth_m.shape
+    distances = supersampling * layer_spacing_px, supersampling * _SURFACE_GAP_PX
+    render = partial(_compose if camera.wavefront is None else _compose_parts, camera=fine)
+    light = render(colours, blur_size_px, distances_px=distances, blocks=aperture_blocks)
+    rows, columns = (length // supersampling for length in depth_m.shape)
+    samples = light.reshape(rows, supersampling, columns, supersampling, -1)
+    return samples.mean(axis=(1, 3)).reshape(rows, columns, *image.shape[2:])
+
+
+def _compose_parts(
+    colours: FloatArray,
+    blur_size_px: FloatArray,
+    camera: Camera,
+    distances_px: tuple[float, float],
+    blocks: int,
+) -> FloatArray:
+    """Frame of a camera whose PSF changes over the image, in parts with a PSF each."""
+    frame, (rows, columns) = np.empty_like(colours), blur_size_px.shape
     margin = psf_width(np.abs(blur_size_px).max()) + _SURFACE_MARGIN_PX
     tangents = field_tangents(camera.intrinsics.resized(columns, rows), _ROWS, _COLUMNS)
     for tangent, (row, column) in zip(tangents, np.ndindex(_ROWS, _COLUMNS), strict=True):
@@ -106,28 +127,31 @@ def render_coded_frame(
         before = max(0, left - margin)
         around = np.s_[above : bottom + margin, before : right + margin]
         part = _compose(
-            *(colours[around], blur_size_px[around], camera, layer_spacing_px, aperture_blocks),
-            tangent,
+            colours[around], blur_size_px[around], camera, distances_px, blocks, tangent
         )
         inside = part[top - above : bottom - above, left - before : right - before]
         frame[top:bottom, left:right] = inside
-    return frame.reshape(image.shape)
+    return frame
 
 
 def _compose(
     colours: FloatArray,
     blur_size_px: FloatArray,
     camera: Camera,
-    spacing_px: float,
+    distances_px: tuple[float, float],
     blocks: int,
     tangent: DoubleArray | None = None,
 ) -> FloatArray:
-    """Frame, or a part of one whose PSFs are those at a tangent of the wavefront."""
+    """Frame, or a part of one whose PSFs are those at a tangent of the wavefront.
+
+    `distances_px` are those in blur size between layers, and between surfaces.
+    """
+    spacing_px, gap_px = distances_px
     visible = Surface(blur_size_px, colours)
     # How far behind an occluder's edge the light that just passes it can come from.
     reach_px = int(np.ceil(np.ptp(blur_size_px) / 2)) + 1
-    hidden = hidden_surface(visible, _SURFACE_GAP_PX, reach_px)
-    layers = list(_layers(visible, hidden, spacing_px))
+    hidden = hidden_surface(visible, gap_px, reach_px)
+    layers = list(_layers(visible, hidden, spacing_px, gap_px))
     total = np.zeros((*colours.shape[:2], colours.shape[2] + 1), dtype=np.float32)
     for block in _blocks(camera.mask, blocks):
         passed = 1.0
@@ -158,7 +182,9 @@ class _Layer:
     left: int
 
 
-def _check(image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int) -> None:
+def _check(
+    image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int, supersampling: int
+) -> None:
     if image.ndim not in (2, 3) or image.shape[:2] != depth_m.shape or not image.size:
         raise InputError(
             "image and depth must be of one size: "
@@ -170,6 +196,11 @@ def _check(image: NDArray, depth_m: NDArray, spacing_px: float, blocks: int) -> 
         raise InputError(f"layer spacing: expected more than 0 px, got {spacing_px!r}")
     if blocks < 1:
         raise InputError(f"aperture blocks: expected at least 1, got {blocks!r}")
+    if supersampling < 1 or any(length % supersampling for length in depth_m.shape):
+        raise InputError(
+            f"supersampling: expected a divisor of the image's height and width, "
+            f"{list(depth_m.shape)}, got {supersampling!r}"
+        )
 
 
 def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
@@ -184,14 +215,16 @@ def _blur_sizes(depth_m: NDArray, camera: Camera) -> FloatArray:
     return blur_size_px.astype(np.float32)
 
 
-def _layers(visible: Surface, hidden: Surface, spacing_px: float) -> Iterator[_Layer]:
+def _layers(
+    visible: Surface, hidden: Surface, spacing_px: float, gap_px: float
+) -> Iterator[_Layer]:
     """Layers of both surfaces, front (smallest signed blur size) first."""
     # The hidden surface repeats blur sizes of the visible one, so these two bounds hold for both.
     first = float(visible.blur_size_px.min())
     last = float(visible.blur_size_px.max())
     count = int(np.ceil((last - first) / spacing_px)) + 1
     step = (last - first) / max(count - 1, 1)
-    surface_gap = max(1, round(_SURFACE_GAP_PX / step)) if step else 1
+    surface_gap = max(1, round(gap_px / step)) if step else 1
     for number, size in enumerate(np.linspace(first, last, count)):
         share = [_share(surface.blur_size_px, size, step) for surface in (visible, hidden)]
         covered = (share[0] > 0) | (share[1] > 0)

@@ -145,6 +145,6 @@ def test_the_same_masks_are_tried_with_more_pixels():
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_magnified_scenes_are_the_same_places(seed):
-    place = relief_scene(seed, (160, 120), 0.5).place
-    magnified = relief_scene(seed, (320, 240), 1.0).place[::2, ::2]
+    place = relief_scene(seed, (160, 120), 0.5).pixel_place
+    magnified = relief_scene(seed, (320, 240), 1.0).pixel_place[::2, ::2]
     assert np.mean(np.abs(place - magnified) < 0.02) > 0.95

@@ -223,3 +223,19 @@ def test_quantisation_rounds_to_steps_and_clips(bits):
 def test_impossible_sensor_is_refused(options):
     with pytest.raises(InputError, match="expected 0"):
         SensorModel(**options)
+
+
+def test_supersampled_light_is_blurred_before_pixels_take_its_mean():
+    """On a plane: the PSF at twice the pixels, and the mean of the samples of each pixel."""
+    sharp, depth_m = texture(), np.full((80, 96), 2.5)
+    found = render_coded_frame(sharp, depth_m, camera(), supersampling=2)
+    psf = render_psf(Mask.named("levin"), 2 * float(camera().blur_size_px(2.5)))
+    fine = convolved(sharp, psf).reshape(40, 2, 48, 2, 3)
+    assert found == pytest.approx(fine.mean(axis=(1, 3)), abs=3e-6)
+
+
+@pytest.mark.parametrize("supersampling", [0, 3])
+def test_samples_fill_whole_pixels(supersampling):
+    depth_m = np.full((80, 96), 2.5)
+    with pytest.raises(InputError, match="supersampling: expected a divisor"):
+        render_coded_frame(texture(), depth_m, camera(), supersampling=supersampling)

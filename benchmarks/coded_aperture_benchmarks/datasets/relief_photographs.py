@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 
-from coded_aperture_ros.design.relief import ReliefScene
+from coded_aperture_ros.design.relief import SUPERSAMPLING, ReliefScene
 from coded_aperture_ros.io import read_image
 
 _LARGEST_PX = (448, 368)
@@ -18,7 +19,10 @@ def folders_in(folder: Path) -> list[Path]:
 
 
 def photographed_scene(folder: Path, largest_px: tuple[int, int] = _LARGEST_PX) -> ReliefScene:
-    """Middle of a photograph with measured disparity; places go with the disparity."""
+    """Middle of a photograph with measured disparity; places go with the disparity.
+
+    Each pixel of the photograph is one of the frame.
+    """
     picture = read_image(folder / "sharp_srgb.png", "srgb").mean(axis=2)
     with np.load(folder / "disparity.npz") as stored:
         disparity = stored["disparity"].astype(np.float32)
@@ -27,4 +31,9 @@ def photographed_scene(folder: Path, largest_px: tuple[int, int] = _LARGEST_PX) 
     cut = slice(top, top + largest_px[1]), slice(left, left + largest_px[0])
     low, high = np.nanquantile(disparity[cut], _ENDS)
     place = 1 - np.clip((disparity[cut] - low) / (high - low), 0, 1)
-    return ReliefScene(picture[cut].astype(np.float32), place.astype(np.float32))
+    size = SUPERSAMPLING * place.shape[1], SUPERSAMPLING * place.shape[0]
+    samples = cv2.resize(picture[cut], size, interpolation=cv2.INTER_CUBIC)
+    return ReliefScene(
+        np.clip(samples, 0, 1).astype(np.float32),
+        cv2.resize(place.astype(np.float32), size, interpolation=cv2.INTER_NEAREST),
+    )

@@ -23,6 +23,7 @@ from coded_aperture_ros.design.choice import Wanted, light_lost_stops, load_offe
 from coded_aperture_ros.design.relief import (
     LEAST_FILL,
     MOST_ERROR,
+    SUPERSAMPLING,
     DistanceFigures,
     part_of_image,
     usable_range_m,
@@ -155,9 +156,10 @@ def _estimates(cell: Cell, camera: Camera, bank: FilterBank, picture: int) -> li
     whole = camera.image_width, camera.image_height
     changes = camera.wavefront is not None or camera.field_curvature is not None
     width, height = whole if changes else map(min, _PART_PX, whole)
-    flat = np.full((height, width), cell.depth_m, np.float32)
-    part = part_of_image(camera, flat.shape)
-    light = render_coded_frame(_picture(picture, flat.shape), flat, part)
+    part = part_of_image(camera, (height, width))
+    sharp = _picture(picture, (SUPERSAMPLING * height, SUPERSAMPLING * width))
+    flat_m = np.full(sharp.shape, cell.depth_m, np.float32)
+    light = render_coded_frame(sharp, flat_m, part, supersampling=SUPERSAMPLING)
     random = np.random.default_rng(picture)
     estimator = DepthEstimator(bank, DepthConfig(temporal_frames=VIDEO_FRAMES), part)
     count = _WARM_UP + (_FRAMES if cell.stated else 1)
@@ -176,7 +178,7 @@ def _exposed(
 
 
 def _picture(index: int, size: tuple[int, ...]) -> NDArray[np.float32]:
-    """Return a photograph as large as a frame, mirrored where it is smaller."""
+    """Return a photograph of so many rows and columns, mirrored where it is smaller."""
     pictures = load_textures("natural").pictures
     picture = pictures[index % len(pictures)]
     scale = max(1.0, max(size) / (2 * min(picture.shape)))
