@@ -161,8 +161,10 @@ def quantiles(values: NDArray, *shares: float) -> NDArray:
     return np.asarray(ordered[below] + part * (ordered[above] - ordered[below]))
 
 
-# Most levels of a bank that are tried: the spectra of more would hardly differ.
+# Levels of a bank that are tried: so many, as the spectra of more would hardly differ, and all that
+# are smaller than this, px.
 _LEVELS = 16
+_SMALL_PX = 4.0
 _SIZES_PX = np.array([2, 3, 4.2, 5.6, 7, 8.6, 10.3, 12.2, 14.3, 16.5, 19, 22])
 # Blur sizes within this distance of the bank's are its own, px.
 _BEYOND_PX = 0.7
@@ -187,7 +189,7 @@ class PsfLevels:
 
 
 def bank_levels(stack: PsfStack) -> PsfLevels:
-    """At most `_LEVELS` levels of a bank, of one side of the focal plane.
+    """Some levels of a bank, of one side of the focal plane.
 
     Power spectra do not distinguish the sides.
     """
@@ -196,7 +198,8 @@ def bank_levels(stack: PsfStack) -> PsfLevels:
     one_side = np.flatnonzero(sizes_px * longer >= 0)
     count = len(one_side)
     chosen = np.round(np.linspace(0, count - 1, min(count, _LEVELS))).astype(int)
-    some = one_side[np.unique(chosen)]
+    small = np.abs(sizes_px[one_side]) < _SMALL_PX
+    some = one_side[np.unique([*chosen, *np.flatnonzero(small)])]
     return PsfLevels(np.abs(sizes_px[some]), [stack.psfs[level] for level in some])
 
 
