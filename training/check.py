@@ -25,7 +25,7 @@ _MEMBERS = 4
 _FITS_FACTOR = 12.0
 _WRONG_FACTOR = 6.0
 # What is the easiest to overlook counts so many times, where its depth is wrong.
-_OVERLOOKED = {"all in focus": 15.0, "no mask": 4.0} | dict.fromkeys(
+_OVERLOOKED = {"all in focus": 45.0, "no mask": 4.0} | dict.fromkeys(
     ("smoothed", "enlarged linearly", "other mask", "correlated noise", "mask inverted"), 2.0
 )
 _COVERED = 0.1

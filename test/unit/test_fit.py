@@ -111,6 +111,14 @@ def test_alternatives_are_known_by_their_names(stack):
         assert hypotheses.weights.shape[:2] == hypotheses.log_determinants.shape
 
 
+def test_every_level_of_small_blur_is_tried_and_some_of_the_others():
+    sizes_px = np.arange(1.5, 16.1, 0.25)
+    found = bank_levels(render_psf_stack(Mask.named("four_hole"), sizes_px))
+    assert set(sizes_px[sizes_px < 4]) <= set(found.sizes_px)
+    assert found.sizes_px.max() == 16.0
+    assert 0.5 < np.diff(found.sizes_px)[-8:].max() < 1.1
+
+
 def test_a_bank_with_all_sizes_has_none_beyond():
     sizes_px = np.arange(1.5, 22.4, 1.0)
     assert not levels_beyond(bank_levels(render_psf_stack(Mask.named("zhou"), sizes_px))).psfs
