@@ -18,8 +18,7 @@ _NEAREST_PX, _FARTHEST_PX = 1.5, 12.0
 
 
 @pytest.mark.parametrize(
-    ("mask", "blur_px"),
-    [("four_hole", 2.0), ("four_hole", 3.0), ("levin", 2.5), ("levin", 3.5)],
+    ("mask", "blur_px"), [("four_hole", 2.0), ("four_hole", 3.0), ("levin", 2.5), ("levin", 3.5)]
 )
 @pytest.mark.parametrize("seed", [1, 4])
 def test_planes_of_small_blur_have_depth(mask, blur_px, seed):
