@@ -30,7 +30,7 @@ def widths_px(psfs: FloatArray) -> DoubleArray:
     --------
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
     >>> widths_px(render_psf_stack(Mask("open", [[1.0]]), [5.0, 9.0]).psfs).round(1).tolist()
-    [4.9, 8.9]
+    [5.2, 9.1]
     """
     light = np.maximum(psfs.astype(np.float64), 0)
     light /= light.sum(axis=(1, 2), keepdims=True)
@@ -71,10 +71,10 @@ def with_nominal_sizes(stack: PsfStack) -> PsfStack:
     --------
     >>> import dataclasses
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
-    >>> known = render_psf_stack(Mask.named("disc"), [4.0, 4.5, 5.0, 5.5, 6.0, 6.5, 7.0, 7.5])
+    >>> known = render_psf_stack(Mask.named("disc"), [4.0, 4.6, 5.2, 5.8, 6.4, 7.0, 7.6, 8.2])
     >>> unknown = dataclasses.replace(known, blur_sizes_px=range(8), in_pixels=False)
     >>> with_nominal_sizes(unknown).blur_sizes_px.round(1).tolist()
-    [3.5, 4.0, 4.4, 4.8, 5.3, 5.7, 6.2, 6.6]
+    [3.7, 4.2, 4.7, 5.2, 5.7, 6.2, 6.7, 7.2]
     """
     if stack.in_pixels or len(stack) < _FEWEST_LEVELS:
         return stack

@@ -14,6 +14,7 @@ def with_all_frequencies(bank: FilterBank) -> FilterBank:
 
     Examples
     --------
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
     >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
     >>> bank.highest_frequency, with_all_frequencies(bank).highest_frequency

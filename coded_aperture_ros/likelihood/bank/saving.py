@@ -28,7 +28,7 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
     Examples
     --------
     >>> import tempfile, pathlib
-    >>> from coded_aperture_ros.likelihood.bank import learn_bank
+    >>> from coded_aperture_ros.likelihood.bank import learn_bank, load_bank
     >>> from coded_aperture_ros.optics import Mask, render_psf_stack
     >>> bank = learn_bank(render_psf_stack(Mask.named("disc"), [3.0, 5.0, 7.0]))
     >>> with tempfile.TemporaryDirectory() as folder:
