@@ -20,13 +20,7 @@ from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.design.choice import Wanted, load_offer
-from coded_aperture_ros.design.relief import (
-    SUPERSAMPLING,
-    ReliefScene,
-    flat_scene,
-    part_of_image,
-    relief_scene,
-)
+from coded_aperture_ros.design.relief import ReliefScene, flat_scene, part_of_image, relief_scene
 from coded_aperture_ros.likelihood.bank import (
     DEFAULT_LEVEL_COUNT,
     FilterBank,
@@ -105,7 +99,7 @@ def scene_picture(path: Path, scene: ReliefScene, results: Row) -> NDArray[np.ui
     )
     wanted = Wanted(near_m, far_m, 0.0, results["illuminance_lux"], results["rate_hz"])
     part = part_of_image(camera, scene.pixel_place.shape)
-    true_m = scene.depth_m(near_m, far_m)[::SUPERSAMPLING, ::SUPERSAMPLING]
+    true_m = scene.pixel_depth_m(near_m, far_m)
     light = scene.light(part, near_m, far_m)
     frame = wanted.exposure(offer.sensor).exposed(light, camera, np.random.default_rng(0))
     bank = learn_bank_for_camera(camera, *guarded_range(camera, near_m, far_m, DEFAULT_LEVEL_COUNT))

@@ -63,6 +63,10 @@ class ReliefScene:
         depth_m = self.depth_m(near_m, far_m)
         return render_coded_frame(self.reflectance, depth_m, camera, supersampling=SUPERSAMPLING)
 
+    def pixel_depth_m(self, near_m: float, far_m: float) -> FloatArray:
+        """Depth of every pixel in a range, m."""
+        return self.depth_m(near_m, far_m)[::SUPERSAMPLING, ::SUPERSAMPLING]
+
     def depth_m(self, near_m: float, far_m: float) -> FloatArray:
         """Depth [rows, columns] in a range, m: places are even in the inverse of the depth."""
         inverse = 1 / near_m - self.place * (1 / near_m - 1 / far_m)
@@ -193,7 +197,7 @@ def measure_scenes(
         estimator = DepthEstimator(bank, DepthConfig(), part)
         depth_m = np.asarray(estimator.estimate(frame).depth_m)
         estimator.close()
-        true_m = scene.depth_m(*range_m)[::SUPERSAMPLING, ::SUPERSAMPLING]
+        true_m = scene.pixel_depth_m(*range_m)
         known = np.isfinite(true_m)
         places.append(scene.pixel_place[known])
         errors.append(np.abs(depth_m / true_m - 1)[known])

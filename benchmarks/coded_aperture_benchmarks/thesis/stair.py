@@ -6,10 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.signal import fftconvolve
 
+from coded_aperture_ros.calibration.psf.fine import mask_psf
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.design.scores.crops import Textures
 from coded_aperture_ros.optics import Mask, PsfStack
-from coded_aperture_ros.optics.pixels import cell_shares
 
 SMALLEST_BLUR_PX = 7.0
 LARGEST_BLUR_PX = 30.0
@@ -17,7 +17,6 @@ LEVELS = 39
 SIDE_PX = 125
 # Noise and crops come from generators of their own: the crops stay when the noise changes.
 _CROPS, _NOISE = 0, 1
-_POINT_PX = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,17 +59,9 @@ def area_psf_stack(mask: Mask, blur_sizes_px: ArrayLike) -> PsfStack:
     """
     sizes = np.asarray(blur_sizes_px, dtype=np.float64)
     width = area_psf_width(float(np.abs(sizes).max()))
-    psfs = []
-    for size in sizes:
-        cells = mask.transmission.astype(np.float64)
-        if size < 0:
-            cells = cells[::-1, ::-1]
-        # A point where there is no blur.
-        cell_px = max(abs(size), _POINT_PX) / max(cells.shape)
-        rows, columns = (cell_shares(width, count, cell_px) for count in cells.shape)
-        psf = rows @ cells @ columns.T
-        psfs.append(psf / psf.sum())
-    return PsfStack(sizes, np.array(psfs, np.float32))
+    psfs = np.array([mask_psf(mask, size).at(width) for size in sizes])
+    psfs /= psfs.sum(axis=(1, 2), keepdims=True)
+    return PsfStack(sizes, psfs.astype(np.float32))
 
 
 def area_psf_width(blur_size_px: float) -> int:
