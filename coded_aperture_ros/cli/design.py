@@ -32,7 +32,7 @@ from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.optics.pupil import exceeds_pupil, largest_extent_mm, wider_mask_advice
 
 _EXAMPLES = """examples:
-  which camera for 0.6 to 1.5 m and 30 degrees, in an office, at 20 frames a second (a minute):
+  which camera for 0.6 to 1.5 m and 30 degrees, in an office, at 20 frames a second (two minutes):
     coded_aperture design --for 0.6 1.5 --view-deg 30 --lux 300 --rate-hz 20 --plot cameras.png
   a camera of yours alone, the better of two masks, and a camera file with what was chosen:
     coded_aperture design --for 6 28 config/example_camera.yaml --no-reference \\
