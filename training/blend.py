@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from loop import Problem, Schedule, check_enough, shuffled, turned
+from loop import Problem, Schedule, check_enough, device_of, on_device, shuffled, turned
 from networks import fold, round_weights, to_onnx
 from pictures import DEPTHS, PICTURES
 from shards import Arrays
@@ -232,7 +232,8 @@ def _score(network: nn.Module, held_back: list[Picture]) -> dict[str, float]:
     One each for estimated depth, and for true depth that was made worse.
     """
     with torch.no_grad():
-        each = [_errors(network, batch_of([picture]))[0] for picture in held_back]
+        batches = (on_device(batch_of([picture]), device_of(network)) for picture in held_back)
+        each = [_errors(network, batch)[0] for batch in batches]
     gains = -_DB * torch.cat(each).log().reshape(-1, DEPTHS)
     found = {}
     for name, of_depth in zip(("estimated", "worsened"), gains.unbind(1), strict=True):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from loop import Problem, Schedule, check_enough
+from loop import Problem, Schedule, check_enough, on_device
 from misfits import MISFITS_DATA
 from shards import Arrays
 from task import Options, Task
@@ -165,8 +165,9 @@ class CheckTask(Task):
         network = Members(features.shape[1])
         network.mean.copy_(torch.tensor(features.mean(0)))
         network.scale.copy_(torch.tensor(features.std(0) + 1e-3))
-        values, (right, counts, cause, cause_counts) = network.standardised(features), targets(rows)
-        shown = network.standardised(held_back["features"])
+        values, shown = map(network.standardised, (features, held_back["features"]))
+        values, shown = on_device((values, shown), options.device)
+        right, counts, cause, cause_counts = on_device(targets(rows), options.device)
 
         def loss(
             members: nn.Module, some: torch.Tensor
@@ -187,7 +188,7 @@ class CheckTask(Task):
 
         def score(members: nn.Module) -> dict[str, Any]:
             with torch.no_grad():
-                outputs = members(shown.expand(_MEMBERS, -1, -1)).mean(0).numpy()
+                outputs = members(shown.expand(_MEMBERS, -1, -1)).mean(0).cpu().numpy()
             return _score(outputs, held_back)
 
         steps = _EPOCHS * (count // _BATCH + 1)

@@ -70,11 +70,12 @@ class Problem:
     network : torch.nn.Module
     schedule : Schedule
     batches : callable
-        Batches without an end, in an order that follows from a seed.
+        Batches without an end, in an order that follows from a seed; on the processor.
     loss : callable
-        From the network and a batch to what is minimised, and to what is printed.
+        From the network and a batch, both on the device, to what is minimised, and to what is
+        printed.
     score : callable
-        From a network to what is printed of the data held back.
+        From a network, wherever it is, to what is printed of the data held back.
     """
 
     network: torch.nn.Module
@@ -94,12 +95,17 @@ class Fit:
         File of what was reached. If it is there, fitting goes on from it.
     start : Path or None
         Such a file of another fit, whose weights are started from.
+    device : str
+        What computes, as PyTorch names it. Files of what was reached fit every device.
     """
 
-    def __init__(self, problem: Problem, path: Path, start: Path | None = None) -> None:
+    def __init__(
+        self, problem: Problem, path: Path, start: Path | None = None, device: str = "cpu"
+    ) -> None:
         self._problem = problem
         self._path = path
-        self._network = problem.network.to(memory_format=torch.channels_last)
+        self._device = device
+        self._network = problem.network.to(device, memory_format=torch.channels_last)
         self._average = copy.deepcopy(self._network)
         self._step = 0
         self._spent_s = 0.0
@@ -121,7 +127,8 @@ class Fit:
         saved = reported = time.perf_counter()
         sums: dict[str, float] = {}
         count = 0
-        for batch in prepared(problem.batches(self._step + 1)):
+        batches = (on_device(each, self._device) for each in problem.batches(self._step + 1))
+        for batch in prepared(batches):
             self._spent_s = time.perf_counter() - started
             progress = problem.schedule.progress(self._step, self._spent_s)
             if progress >= 1:
@@ -175,9 +182,38 @@ class Fit:
             "step": self._step,
         }
         part = self._path.with_suffix(".part")
-        torch.save(state, part)
+        torch.save(on_device(state, "cpu"), part)
         part.rename(self._path)
         print("held back:", json.dumps(self._problem.score(self._average.eval())), flush=True)
+
+
+def check_device(name: str) -> None:
+    """End the program if PyTorch finds no such device here."""
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise SystemExit(f"--device {name}: PyTorch finds none here: {reason}") from None
+
+
+def on_device(values: Any, device: str | torch.device) -> Any:
+    """The same with all tensors on a device: of a dataclass, dict, list, tuple, or one tensor."""
+    if isinstance(values, torch.Tensor):
+        return values.to(device)
+    if dataclasses.is_dataclass(values) and not isinstance(values, type):
+        names = (field.name for field in dataclasses.fields(values))
+        parts = {name: on_device(getattr(values, name), device) for name in names}
+        return dataclasses.replace(values, **parts)
+    if isinstance(values, dict):
+        return {name: on_device(each, device) for name, each in values.items()}
+    if isinstance(values, list | tuple):
+        return type(values)(on_device(each, device) for each in values)
+    return values
+
+
+def device_of(network: torch.nn.Module) -> torch.device:
+    """Device of a network's weights."""
+    return next(network.parameters()).device
 
 
 def averaged_weights(path: Path) -> dict[str, torch.Tensor]:

@@ -11,7 +11,16 @@ import numpy as np
 import torch
 from calibration import confidence_calibration, deviation_calibration, frame_places
 from costs import CELLS, COSTS, on_all_cells
-from loop import Problem, Schedule, averaged_weights, check_enough, shuffled, turned
+from loop import (
+    Problem,
+    Schedule,
+    averaged_weights,
+    check_enough,
+    device_of,
+    on_device,
+    shuffled,
+    turned,
+)
 from networks import fold, load_folded, onnx_weights, recording, renormalise, round_weights, to_onnx
 from refinement_loss import Batch, divergence, true_losses, weighted_sum
 from refinement_network import BINS, Refinement, large_network
@@ -159,8 +168,9 @@ class RefinementTask(Task):
         check_enough(frames, held_back, _BATCH, _BATCH)
         network = self._new_network()
         if options.further:
-            network = shipped_network(options.further)
+            network = shipped_network(options.further).to(options.device)
             some = itertools.islice(batches(frames, 0), _RENORMALISED_BATCHES)
+            some = (on_device(batch, options.device) for batch in some)
             renormalise(network, ((batch.costs, batch.frame) for batch in some))
         rate = options.rate or (_FURTHER_RATE if options.further else _RATE)
         schedule = Schedule(options.minutes, rate, warm_steps=100, decay=1e-2, largest_gradient=2.0)
@@ -187,7 +197,7 @@ class RefinementTask(Task):
             return None
         teacher = large_network().to(memory_format=torch.channels_last).eval()
         teacher.load_state_dict(averaged_weights(path))
-        return teacher
+        return teacher.to(options.device)
 
     def arrays(self, weights: dict[str, torch.Tensor], options: Options) -> dict[str, Any]:
         network = Refinement()
@@ -269,9 +279,11 @@ def _score(network: torch.nn.Module, frames: list[Frame]) -> dict[str, float]:
     random = np.random.default_rng(0)
     sums: dict[str, float] = {}
     starts = range(0, len(frames) - _BATCH + 1, _BATCH)
+    device = device_of(network)
     with torch.no_grad():
         for start in starts:
             batch = _batch(frames[start : start + _BATCH], random, augment=False)
+            batch = on_device(batch, device)
             outputs = network(batch.costs, batch.frame)
             for name, value in true_losses(outputs, batch, *batch.true_quarters()).items():
                 sums[name] = sums.get(name, 0.0) + float(value)

@@ -76,9 +76,10 @@ def dilated(values: torch.Tensor) -> torch.Tensor:
 
 def blur_sizes(logits: torch.Tensor) -> torch.Tensor:
     """Mean blur size around the likeliest, px [batch, rows, columns]."""
-    sizes = torch.from_numpy(BLUR_SIZES_PX).float()
+    sizes = torch.from_numpy(BLUR_SIZES_PX).float().to(logits.device)
     best = logits.argmax(1, keepdim=True)
-    around = (best + torch.arange(-REACH, REACH + 1).view(1, -1, 1, 1)).clamp(0, BINS - 1)
+    steps = torch.arange(-REACH, REACH + 1, device=logits.device)
+    around = (best + steps.view(1, -1, 1, 1)).clamp(0, BINS - 1)
     near = torch.gather(logits, 1, around)
     return (functional.softmax(near, 1) * sizes[around]).sum(1)
 

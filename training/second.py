@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from coded_aperture_benchmarks.metrics.surfaces import BINS
 from costs import CELLS
-from loop import Problem, Schedule, check_enough, shuffled, turned
+from loop import Problem, Schedule, check_enough, device_of, shuffled, turned
 from networks import fold, load_folded, onnx_weights, renormalise, round_weights, to_onnx
 from refinement_network import Around, convolution
 from task import Options, Task
@@ -146,7 +146,8 @@ def _evaluated(network: nn.Module, frames: list[Frame]) -> tuple[torch.Tensor, t
     with torch.no_grad():
         for start in range(0, len(frames), _BATCH):
             some = frames[start : start + _BATCH]
-            outputs.append(_outputs(network, _tensor([frame.shown for frame in some])))
+            shown = _tensor([frame.shown for frame in some]).to(device_of(network))
+            outputs.append(_outputs(network, shown).cpu())
     return torch.cat(outputs), _tensor([frame.truth for frame in frames])
 
 
@@ -192,9 +193,9 @@ class SecondTask(Task):
         check_enough(frames, held_back, _BATCH, 1)
         network = Second(len(frames[0].shown))
         if options.further:
-            network = shipped_network(options.further)
+            network = shipped_network(options.further).to(options.device)
             some = itertools.islice(batches(frames, 0), _RENORMALISED_BATCHES)
-            renormalise(network, ((shown,) for shown, _ in some))
+            renormalise(network, ((shown.to(options.device),) for shown, _ in some))
         rate = options.rate or (_FURTHER_RATE if options.further else _RATE)
         return Problem(
             network,

@@ -32,6 +32,7 @@ class Options:
     processes: int
     scheduler: str
     threads: int
+    device: str
 
 
 class Task(ABC):

@@ -129,12 +129,13 @@ def make_data(plan: Plan, options: Options) -> None:
 def fit(plan: Plan, options: Options) -> None:
     """Fit the network, and keep what was reached every few minutes."""
     import torch
-    from loop import Fit
+    from loop import Fit, check_device
 
+    check_device(options.device)
     torch.set_num_threads(options.threads)
     torch.manual_seed(0)
     problem = plan.make_task().problem(options)
-    Fit(problem, options.state, options.start).run()
+    Fit(problem, options.state, options.start, options.device).run()
 
 
 def export(plan: Plan, options: Options) -> None:
@@ -203,6 +204,7 @@ def _parser() -> argparse.ArgumentParser:
     group.add_argument("--minutes", type=float, help="default: the task's")
     group.add_argument("--rate", type=float, help="of learning; default: the task's")
     group.add_argument("--threads", type=int, default=cores, help="default: %(default)s")
+    group.add_argument("--device", default="cpu", help="as PyTorch names it: %(default)s, cuda")
     group.add_argument("--start", type=Path, metavar="PT", help="state of a fit to start from")
     group.add_argument(
         "--further",

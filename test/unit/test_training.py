@@ -295,6 +295,85 @@ def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_
 
 
 @pytest.fixture
+def refinement(training, torch, monkeypatch):
+    """The module that fits the refinement, with one frame at a time."""
+    module = importlib.import_module("refinement")
+    monkeypatch.setattr(training["scenes"], "FRAMES_PER_SHARD", 1)
+    monkeypatch.setattr(training["scenes"], "FRAME_PX", 96)
+    monkeypatch.setattr(module, "_BATCH", 1)
+    monkeypatch.setattr(module, "_RENORMALISED_BATCHES", 1)
+    return module
+
+
+@pytest.mark.filterwarnings("ignore")  # of torch, about its own way to write a network
+def test_the_refinement_is_fitted_further_on_a_device(
+    torch, refinement, checkout, run, tmp_path, capsys
+):
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    shipped = checkout / "coded_aperture_ros/depth/decoders/network/refinement.npz"
+    folder = ("--folder", tmp_path, "--shards", 0, 1, "--held-back", 1, 2)
+    further = ("--least-told", 0, "--further", shipped, "--minutes", 0.01, "--device", device)
+    run("refinement", "data", "fit", "export", *folder, *further)
+    assert "1 items to learn from, 1 held back\nheld back: {" in capsys.readouterr().out
+    # It says no device: it loads wherever it is used.
+    state = torch.load(tmp_path / "state" / "refinement_further.pt", weights_only=True)
+    assert state["step"] > 0
+    assert all(weights.device.type == "cpu" for weights in state["average"].values())
+    moments = state["optimizer"]["state"]
+    assert all(each.device.type == "cpu" for some in moments.values() for each in some.values())
+    first = state["network"]["every_level.layers.first.weight"]
+    exported = dict(np.load(tmp_path / "refinement.npz"))["first_weights"]
+    np.testing.assert_allclose(exported, first[:, :, 0, 0], atol=0.02)
+
+
+def test_the_refinement_s_losses_are_where_its_batches_are(training, torch, refinement):
+    loop = importlib.import_module("loop")
+    losses = importlib.import_module("refinement_loss")
+    cells, bins = 4, losses.BINS
+    costs = torch.rand(2, 6 * bins + 4, cells, cells)
+    frame = torch.rand(2, 16, 2 * cells, 2 * cells)
+    blur_px = 20 * torch.rand(2, 4 * cells, 4 * cells)
+    batch = losses.Batch(costs, frame, torch.ones(2, bins, dtype=bool), blur_px, torch.zeros(2))
+    outputs = tuple(torch.rand(2, count, 2 * cells, 2 * cells) for count in (bins + 1, 36))
+    # A device that has no numbers, on every machine: what is elsewhere does not mix with it.
+    outputs, batch = loop.on_device((outputs, batch), "meta")
+    parts = losses.true_losses(outputs, batch, *batch.true_quarters())
+    _, counted = batch.true_quarters()
+    parts["taught"] = losses.divergence(outputs, outputs, batch, counted)
+    assert {part.device.type for part in parts.values()} == {"meta"}
+
+
+@pytest.mark.parametrize(
+    ("values", "tensors"),
+    [
+        (lambda tensor: tensor, lambda moved: [moved]),
+        (lambda tensor: (tensor, "name"), lambda moved: moved[:1]),
+        (lambda tensor: [tensor, None, 3], lambda moved: moved[:1]),
+        (lambda tensor: {"a": {0: tensor}, "b": 1.0}, lambda moved: [moved["a"][0]]),
+        (lambda tensor: [{"a": (tensor, tensor)}], lambda moved: [*moved[0]["a"]]),
+    ],
+    ids=["tensor", "tuple", "list", "dict", "nested"],
+)
+def test_tensors_move_with_what_holds_them(training, torch, values, tensors):
+    loop = importlib.import_module("loop")
+    given = values(torch.zeros(2))
+    moved = loop.on_device(given, "meta")
+    assert type(moved) is type(given)
+    assert [tensor.device.type for tensor in tensors(moved)] == ["meta"] * len(tensors(given))
+    # What is there already is the same.
+    assert all(
+        one is other
+        for one, other in zip(tensors(loop.on_device(given, "cpu")), tensors(given), strict=True)
+    )
+
+
+@pytest.mark.parametrize("device", ["nonsense", "cuda:99", ""])
+def test_a_device_that_is_not_there_ends_the_program(training, torch, run, tmp_path, device):
+    with pytest.raises(SystemExit, match=f"--device {device}: PyTorch finds none here: ."):
+        run("refinement", "fit", "--folder", tmp_path, "--device", device)
+
+
+@pytest.fixture
 def blend(training, torch, monkeypatch):
     """The module that fits the blend, with few and small frames."""
     module = importlib.import_module("blend")
