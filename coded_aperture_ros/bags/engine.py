@@ -12,6 +12,7 @@ import functools
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 import warnings
@@ -139,6 +140,7 @@ def _parallel(processes: int, client: Any = None) -> Iterator[Any]:
     # Arrays are not put into shared files: what comes of a frame is read once.
     options = {"return_as": "generator", "batch_size": 1, "max_nbytes": None}
     if client is None:
+        _start_silent_tracker()
         with _naming_lost_workers():
             # Not as a context: interrupted, that would begin anew, and leave a folder behind.
             yield Parallel(n_jobs=processes, backend=_worker_processes(), **options)
@@ -150,6 +152,20 @@ def _parallel(processes: int, client: Any = None) -> Iterator[Any]:
         except ValueError:  # joblib before 1.4 gives Dask's results all at the end
             parallel = Parallel(n_jobs=-1, pre_dispatch="all", **options | {"return_as": "list"})
         yield parallel
+
+
+def _start_silent_tracker() -> None:
+    """Start the process that removes what a program leaves behind that is ended at any moment.
+
+    By itself it says on stderr what that was, after the program has ended.
+    """
+    from joblib.externals.loky.backend import resource_tracker
+
+    sys.warnoptions.append("ignore:resource_tracker")
+    try:
+        resource_tracker.ensure_running()
+    finally:
+        sys.warnoptions.pop()
 
 
 def _worker_processes() -> Any:

@@ -450,6 +450,20 @@ def test_a_failure_of_a_worker_comes_out(processes):
     assert list(in_order(named, [(1, 1)], processes=processes, window=9)) == [(1, 1)]
 
 
+ENDS_AMID_TASKS = """
+import os
+from coded_aperture_ros.bags.engine import in_order
+for item, _ in in_order(abs, zip(range(9), range(9)), processes=2, window=4):
+    if item == 5:
+        os._exit(3)
+"""
+
+
+def test_what_a_program_leaves_that_ends_at_any_moment_is_removed_without_a_word():
+    ended = run_python("-c", ENDS_AMID_TASKS)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "", "")
+
+
 @pytest.mark.skipif(processors() < 2, reason="with one processor all is done by one process")
 @pytest.mark.parametrize("options", [("--temporal-frames", "0"), ("--temporal-frames", "3")])
 def test_processes_write_what_one_process_writes(
