@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from coded_aperture_benchmarks.metrics.deltas import delta_shares
 from coded_aperture_benchmarks.metrics.dense import score
-from coded_aperture_benchmarks.metrics.edges import BoundaryMatch, occluding_contour
+from coded_aperture_benchmarks.metrics.edges import BoundaryMatch, flying_pixels, occluding_contour
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification
 from coded_aperture_benchmarks.metrics.thin import pieces_found, thin_pieces
 
@@ -15,6 +15,24 @@ from coded_aperture_ros.optics import Camera, Mask
 
 def step(column, near=2.0, far=10.0, shape=(40, 60)):
     return np.where(np.arange(shape[1]) < column, near, far) * np.ones(shape)
+
+
+def test_depths_between_two_surfaces_fly():
+    """A wall at 4 m beside one at 2 m, and a step of 3 %."""
+    truth = np.full((9, 80), 4.0)
+    truth[:, :40] = 2
+    truth[:, 70:] = 4.12
+    depth = truth.copy()
+    depth[0, 38:44] = 3  # between both
+    depth[1, 38:44] = 2.05, 2.05, 3.9, 3.9, 3.9, 3.9  # on one of them
+    depth[2, 38:44] = 1  # before both
+    depth[3, 60] = 3  # too far from the edge
+    depth[4, 72] = 3
+    depth[5, 40] = 2  # the other surface
+    truth[6, 40], depth[6, 40] = np.nan, 3
+    expected = np.zeros(truth.shape, bool)
+    expected[0, 38:44] = True
+    np.testing.assert_array_equal(flying_pixels(depth, truth), expected)
 
 
 def test_deltas_are_ratios_and_unknown_is_wrong():
@@ -154,6 +172,7 @@ def test_the_score_counts_what_is_unknown_as_wrong():
     assert result["pixels"] == 2 * 150 * 100
     assert result["within_10_percent"] == result["delta_1.25"] == 0.9
     assert result["published"]["within_10_percent"] == result["published"]["coverage"] == 0.45
+    assert result["published"]["flying_near_edges"] == 0
     assert result["confident"] == {"threshold": 0.55, "coverage": 0.45, "within_10_percent": 1}
     assert result["median_error"] == 0
     assert result["std_dev"] is None

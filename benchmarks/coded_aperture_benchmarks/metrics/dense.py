@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.datasets.ray_traced import Rods
 from coded_aperture_benchmarks.metrics.deltas import DELTA_BOUNDS, delta_shares
-from coded_aperture_benchmarks.metrics.edges import TOLERANCES_PX, BoundaryMatch
+from coded_aperture_benchmarks.metrics.edges import TOLERANCES_PX, BoundaryMatch, flying_pixels
 from coded_aperture_benchmarks.metrics.sparsification import Sparsification
 from coded_aperture_benchmarks.metrics.thin import WIDTHS_PX, pieces_found, thin_pieces
 from coded_aperture_benchmarks.run import Row
@@ -67,7 +67,8 @@ def score(
         within_10_percent, within_10_percent_near_edges, within_10_percent_away : shares.
         median_error, median_error_away : of |depth - truth| / truth.
         published : threshold, coverage, abs_rel, delta_1.05, ..., within_10_percent; what is below
-        the threshold is unknown.
+        the threshold is unknown; and flying_near_edges, the share of the published pixels within
+        16 px of an edge that are `flying_pixels`.
         confident : threshold (.55), coverage, and within_10_percent of the confident pixels.
         expected_calibration_error : of the confidence that the depth is right to 5 %.
         sparsification : coverage, abs_rel, oracle : the mean relative error of the most confident
@@ -104,6 +105,7 @@ def _scores(
     known = np.isfinite(relative)
     sure = confidence >= CONFIDENT
     published = confidence >= threshold
+    flying = np.stack([flying_pixels(*each) for each in zip(depth, truth, strict=True)])
     reliability = Reliability.from_estimates(confidence[known], relative[known] <= RIGHT_WITHIN)
     return {
         "pixels": int(np.count_nonzero(with_truth)),
@@ -119,6 +121,7 @@ def _scores(
             **_errors(
                 np.where(published, depth, np.nan), truth, np.where(published, relative, np.nan)
             ),
+            "flying_near_edges": _mean(flying[known & published & near_edge]),
         },
         "confident": {
             "threshold": CONFIDENT,

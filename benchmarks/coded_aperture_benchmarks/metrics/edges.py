@@ -4,12 +4,16 @@ import dataclasses
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.metrics.edges import EDGE_JUMP_PX, distance_to_px, lowest_and_highest
 
 TOLERANCES_PX = (1, 2, 4)
+# Flying pixels are between two surfaces that are so near, px, by more than this share.
+_FLYING_AROUND_PX = 16
+_FLYING_BY = 0.05
 
 
 def occluding_contour(
@@ -27,6 +31,26 @@ def occluding_contour(
     _, highest = lowest_and_highest(blur_size_px)
     with np.errstate(invalid="ignore"):
         return np.asarray(highest - blur_size_px > jump_px)
+
+
+def flying_pixels(depth_m: NDArray[np.floating], truth_m: NDArray[np.floating]) -> BoolArray:
+    """Return which depths lie between two surfaces, on neither of them [h, w].
+
+    They are off by more than 5 %, and as much behind the nearest and before the farthest true depth
+    within 16 px.
+
+    Parameters
+    ----------
+    depth_m, truth_m : ndarray of float, shape [h, w]
+        NaN where unknown.
+    """
+    known, side = np.isfinite(truth_m), 2 * _FLYING_AROUND_PX + 1
+    nearest_m = ndimage.minimum_filter(np.where(known, truth_m, np.inf), side)
+    farthest_m = ndimage.maximum_filter(np.where(known, truth_m, -np.inf), side)
+    with np.errstate(invalid="ignore"):
+        between = depth_m > (1 + _FLYING_BY) * nearest_m
+        between &= depth_m < (1 - _FLYING_BY) * farthest_m
+        return np.asarray(between & (np.abs(depth_m - truth_m) > _FLYING_BY * truth_m))
 
 
 @dataclasses.dataclass(frozen=True)
