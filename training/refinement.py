@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from calibration import confidence_calibration, deviation_calibration, frame_places
+from calibration import calibration_arrays, confidence_calibration, deviation_calibration
 from costs import CELLS, COSTS, on_all_cells
 from loop import (
     Problem,
@@ -22,6 +22,7 @@ from loop import (
     turned,
 )
 from networks import fold, load_folded, onnx_weights, recording, renormalise, round_weights, to_onnx
+from places import frame_places
 from refinement_loss import Batch, divergence, true_losses, weighted_sum
 from refinement_network import BINS, Refinement, large_network
 from scenes import BLUR_STEP, FIRST_RARE_SHARD, SCENES
@@ -58,6 +59,8 @@ _LEVELS = 30
 # One frame in so many of a few shards tells the ranges of the layers as well.
 _QUANTISED_EVERY = 3
 _QUANTISED_SHARDS = 4
+# Least tolerance, px: its logarithm must be finite.
+_LEAST_PX = 1e-3
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -228,7 +231,7 @@ class RefinementTask(Task):
         calibration = confidence_calibration(places)
         with package_weights(options.weights, package):
             found = [frame_errors(frame) for frame in frames]
-        return deviation_calibration(found, calibration).to_arrays()
+        return calibration_arrays(deviation_calibration(found, calibration))
 
 
 class TeacherTask(RefinementTask):
@@ -334,21 +337,21 @@ def shipped_network(path: Path) -> Refinement:
 def frame_errors(frame: Frame) -> Arrays:
     """What is found of every half-cell of a frame, and how wrong it is, px.
 
-    `probability` of an error below the `tolerance`, which is 5 % of the depth; blur `size`; its
-    `error`, and its `deviation` without calibration.
+    `features` of the confidence; the `tolerance`, which is 5 % of the depth; the `error` of the
+    blur size, and its `deviation` without calibration.
     """
     logits = frame.run(package.Network(frame.tried, Workers()))
     found = HalfCells.from_logits(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
     truth = frame.true_blur_px()[2::4, 2::4]
     tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
+    known = np.maximum(np.nan_to_num(tolerance), _LEAST_PX).astype(np.float32)
     arrays = {
-        "probability": found.right_within(np.nan_to_num(tolerance).astype(np.float32)),
-        "size": found.size_px,
+        "features": found.confidence_features(known),
         "tolerance": tolerance,
         "error": np.abs(found.size_px - np.abs(truth)),
         "deviation": found.deviation_px(),
     }
-    return {name: values[np.isfinite(truth)] for name, values in arrays.items()}
+    return {name: values[..., np.isfinite(truth)] for name, values in arrays.items()}
 
 
 class _AfterFirst(torch.nn.Module):

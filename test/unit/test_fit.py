@@ -259,7 +259,7 @@ def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
 
 
 @pytest.mark.parametrize(
-    ("value", "left"), [(0.9, 0.8), (0.7, 0.8), (0.45, 0.5), (0.2, 0.2), (0.0, 0.2)]
+    ("value", "left"), [(0.9, 0.8), (0.7, 0.8), (0.45, 0.35), (0.2, 0.2), (0.0, 0.2)]
 )
 def test_what_health_leaves_of_a_confidence(value, left):
     health = Health(value, "" if value >= 0.5 else "none")

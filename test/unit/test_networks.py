@@ -114,13 +114,17 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
         refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
     )
     shipped = Calibration.from_weights(arrays)
-    assert shipped.coefficients.dtype == np.float32 and shipped.deviation.dtype == np.float32
-    for name, values in shipped.to_arrays().items():
-        np.testing.assert_array_equal(arrays[name], values)
+    assert [layer.dtype for layer in shipped.layers] == 3 * [np.float32]
+    assert shipped.deviation.dtype == np.float32
+    for name, values in arrays.items():
+        if name.startswith("confidence"):
+            np.testing.assert_array_equal(values, shipped.layers[int(name[-1])])
 
     scene, frame = seen
     found = []
-    other = {"calibration": shipped.coefficients - np.float32([1, 0, 0, 0]), "deviation": 1.56}
+    last = shipped.layers[-1].copy()
+    last[0, -1] -= 1
+    other = {"confidence2": last, "deviation": 1.56}
     for changed in ({}, other):
         monkeypatch.setattr(refinement, "read_shipped", lambda *_, new=changed: arrays | new)
         config = DepthConfig(noise=NOISE, confidence_threshold=0, check_fit=False)
@@ -137,20 +141,18 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
 def test_weights_without_a_calibration_have_the_probabilities_of_the_network():
     """As they have before `training/train.py refinement calibrate`."""
     calibration = Calibration.from_weights({})
-    assert calibration.coefficients.dtype == np.float32 and calibration.deviation == 1
-    probability = np.float32([0.01, 0.3, 0.9])
-    size_px, tolerance_px = np.float32([4, 9, 20]), np.float32([0.2, 1, 3])
-    confidence = calibration.confidence(probability, size_px, tolerance_px)
-    np.testing.assert_allclose(confidence, probability, rtol=1e-5)
+    assert calibration.layers == () and calibration.deviation == 1
+    probability = np.float32([[0.01, 0.3, 0.9]])
+    features = np.stack([log_odds(probability), np.float32([[4, 9, 20]])])
+    np.testing.assert_allclose(calibration.confidence(features), probability, rtol=1e-5)
 
 
-def test_the_confidence_is_logistic_in_the_odds():
-    calibration = Calibration(np.float32([0.5, 2, 0.1, -1]), np.float32(1))
-    probability = np.float32([0, 0.3, 0.9, 1])
-    confidence = calibration.confidence(probability, np.float32([4] * 4), np.float32([2] * 4))
-    expected = 0.5 + 2 * log_odds(probability) + 0.4 - np.log(2)
-    np.testing.assert_allclose(log_odds(confidence)[1:3], expected[1:3], rtol=1e-4)
-    assert np.isfinite(confidence).all() and (np.diff(confidence) > 0).all()
+def test_the_confidence_is_a_small_network_of_the_features():
+    hidden = np.float32([[2, 0.1, -1, 0.5], [-1, 0, 0, 0]])
+    calibration = Calibration((hidden, np.float32([[1, -3, 0.25]])), np.float32(1))
+    features = np.float32([[-1, 0.5, 2], [4, 4, 4], [1, 1, 1]])
+    by_hand = [-3 * 1 + 0.25, (2 * 0.5 + 0.4 - 1 + 0.5) + 0.25, (4 + 0.4 - 1 + 0.5) + 0.25]
+    np.testing.assert_allclose(log_odds(calibration.confidence(features)), by_hand, rtol=1e-4)
 
 
 @pytest.mark.parametrize("config", [DepthConfig, DeblurConfig])

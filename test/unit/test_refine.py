@@ -196,6 +196,39 @@ def test_blur_size_is_the_mean_around_the_likeliest():
     assert found.quantile_px(0.95) == pytest.approx(9.5)
 
 
+def test_features_of_the_confidence_tell_of_what_is_around():
+    """Two surfaces of 30x20 half-cells, 4 px of blur apart, and a half-cell that is unsure."""
+    size = np.full((30, 40), 6, np.float32)
+    size[:, 20:] = 10
+    about = np.full(size.shape, 0.9, np.float32)
+    about[15, 5] = 0.1
+    same = np.full(size.shape, 0.25, np.float32)
+    found = HalfCells(size, about, same, same, size[None], np.float32([6]))
+    tolerance = np.full(size.shape, 0.5, np.float32)
+    odds, sizes, log_tolerance, around, far_around, more, less = found.confidence_features(
+        tolerance
+    )
+    right = about * (1 - np.exp(np.float32(-2)))
+    np.testing.assert_allclose(odds, np.log(right / (1 - right)), rtol=1e-4)
+    np.testing.assert_array_equal(sizes, size)
+    np.testing.assert_allclose(log_tolerance, np.log(0.5), rtol=1e-6)
+    fall = odds[0, 0] - odds[15, 5]
+    assert around[15, 5] == pytest.approx(odds[0, 0] - fall / 13**2, rel=1e-4)
+    assert far_around[15, 25] == odds[0, 0]  # more than 16 half-cells away
+    # Two half-cells on either side of the edge see the other surface, 8 tolerances away.
+    edge = np.log1p(8) * np.float32([0, 0, 1, 1, 0, 0, 0, 0])
+    np.testing.assert_allclose(more[3, 16:24], edge, rtol=1e-6)
+    np.testing.assert_allclose(less[3, 16:24], edge[[0, 0, 0, 0, 2, 2, 0, 0]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 40), (34, 8)])
+def test_features_of_the_confidence_of_small_frames_are_finite(shape):
+    values = np.random.default_rng(0).uniform(0.1, 0.9, (5, *shape)).astype(np.float32)
+    size, about, spread, width, tolerance = values
+    found = HalfCells(size, about, spread, width, size[None], np.float32([6]))
+    assert np.isfinite(found.confidence_features(tolerance)).all()
+
+
 def test_deviation_holds_two_thirds_of_the_errors():
     sizes = np.arange(2, 12, 0.5, dtype=np.float32)
     sure = HalfCells.from_logits(_logits(np.eye(20)[6]), sizes)

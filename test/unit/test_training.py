@@ -20,7 +20,7 @@ def training(checkout):
     """The program's modules, as they import each other."""
     folder = str(checkout / "training")
     sys.path.insert(0, folder)
-    names = ("shards", "scenes", "costs", "pictures", "windows", "calibration", "train")
+    names = ("shards", "scenes", "costs", "pictures", "windows", "calibration", "places", "train")
     yield {name: importlib.import_module(name) for name in names}
     sys.path.remove(folder)
 
@@ -206,47 +206,100 @@ def test_later_shards_have_what_is_rare_in_the_first_ones(training):
     assert light.shape == (scenes.FRAME_PX, scenes.FRAME_PX)
 
 
-def calibrated_weights(training, coefficients, deviation):
-    """Calibration that is fitted to places and errors drawn from one."""
+def places_by_a_rule(count=12_000):
+    """Places of four kinds, right with odds that bend in one feature, and their probabilities."""
     random = np.random.default_rng(0)
-    odds, size_px, log_tolerance = random.normal(0, 1, (3, 40_000)) * [[2], [5], [1]]
-    given = np.stack([np.ones_like(odds), odds, size_px, log_tolerance])
-    right = random.random(odds.shape) < 1 / (1 + np.exp(-coefficients @ given))
-    error = np.where(right, 0.01, 0.5)
-    kind = random.integers(3, size=odds.shape)
-    places = np.stack([odds, size_px, log_tolerance, error, kind])
-    calibration = training["calibration"].confidence_calibration(places)
-    found = {
-        "probability": np.full(10_000, 0.97, np.float32),
-        "size": np.full(10_000, 5, np.float32),
+    features = random.normal(0, 1, (7, count)).astype(np.float32) * [[2]] + [[1]]
+    odds = 0.8 * features[0] - 1.5 * np.maximum(features[5], 0) + 0.5
+    probability = 1 / (1 + np.exp(-odds))
+    right = random.random(count) < probability
+    kind, group = random.integers(1, 5, count), random.integers(6, size=count)
+    return np.stack([*features, right, right, kind, group]).astype(np.float32), probability
+
+
+def test_calibration_finds_the_probabilities_that_places_were_made_with(
+    training, monkeypatch, capsys
+):
+    calibration = training["calibration"]
+    monkeypatch.setattr(calibration, "_STEPS", 60)
+    places, probability = places_by_a_rule()
+    found = calibration.confidence_calibration(places)
+    assert [layer.shape for layer in found.layers] == [(16, 8), (16, 17), (1, 17)]
+    said = found.confidence(places[:7])
+    assert np.abs(said - probability).mean() < 0.05
+    assert abs(said - probability)[probability < 0.05].max() < 0.2
+    printed = capsys.readouterr().out
+    assert printed.count("by the others: cross-entropy") == 4
+    assert printed.count("fold") == 12
+
+    random = np.random.default_rng(1)
+    frame = {
+        "features": places[:7, :10_000],
         "tolerance": np.full(10_000, 2, np.float32),
-        "error": np.abs(random.normal(0, deviation, 10_000)),
+        "error": np.abs(random.normal(0, 0.8, 10_000)),
         "deviation": np.ones(10_000),
     }
-    return training["calibration"].deviation_calibration([found, found], calibration)
+    calibrated = calibration.deviation_calibration([frame, frame], found)
+    assert calibrated.deviation == pytest.approx(0.8, rel=0.05)
+    assert set(calibration.calibration_arrays(calibrated)) == {
+        "confidence0",
+        "confidence1",
+        "confidence2",
+        "deviation",
+    }
 
 
-def test_calibration_finds_the_constants_that_frames_were_made_with(training, capsys):
-    coefficients = np.array([-0.5, 1.4, 0.07, -0.5])
-    found = calibrated_weights(training, coefficients, 0.8)
-    np.testing.assert_allclose(found.coefficients, coefficients, atol=0.06)
-    assert found.deviation == pytest.approx(0.8, rel=0.03)
-    assert capsys.readouterr().out.count("by the others: cross-entropy") == 3
+def test_slopes_of_the_fit_are_those_of_the_loss(training):
+    random = np.random.default_rng(0)
+    shapes = (5, 4), (1, 6)
+    layers = [random.normal(0, 1, shape) for shape in shapes]
+    features, right = random.normal(0, 1, (3, 50)), random.random(50)
+    weight = np.full(50, 1 / 50)
+
+    def loss(layers):
+        return training["calibration"]._unlikelihood(layers, features, right, weight)
+
+    _, slopes = loss(layers)
+    for layer, slope in zip(layers, slopes, strict=True):
+        for place in np.ndindex(layer.shape):
+            before = layer[place]
+            values = []
+            for step in (-1e-4, 1e-4):
+                layer[place] = before + step
+                values.append(loss(layers)[0])
+            layer[place] = before
+            assert slope[place] == pytest.approx(np.diff(values)[0] / 2e-4, abs=1e-4)
+
+
+def write_photograph(folder, shape=(120, 150)):
+    """Photograph of a wall behind a square, with its disparity."""
+    random = np.random.default_rng(0)
+    folder.mkdir(parents=True)
+    picture = cv2.GaussianBlur(random.integers(0, 255, (*shape, 3)).astype(np.uint8), (0, 0), 1)
+    cv2.imwrite(str(folder / "sharp_srgb.png"), picture)
+    disparity = np.full(shape, 20, np.float32)
+    disparity[40:90, 50:110] = 40
+    disparity[:, :3] = np.nan
+    np.savez(folder / "disparity.npz", disparity=disparity)
 
 
 def test_places_of_frames_are_measured_by_the_weights_of_a_file(
     training, monkeypatch, checkout, tmp_path
 ):
-    calibration = training["calibration"]
+    places = training["places"]
     shipped = checkout / "coded_aperture_ros/depth/decoders/network/refinement.npz"
-    monkeypatch.setattr(calibration, "FRAMES_PER_SHARD", 1)
-    monkeypatch.setattr(calibration, "_SIZE", (96, 128))
-    odds, size_px, log_tolerance, error, kind = calibration.frame_places(shipped, tmp_path, 2, 1)
-    assert len(odds) > 500 and np.isfinite(odds).all() and np.isfinite(log_tolerance).all()
-    assert (size_px >= 0).all() and (error >= 0).all() and set(kind) <= {0, 1, 2}
-    assert np.mean(error < 0.05) > 0.1
+    monkeypatch.setattr(places, "FRAMES_PER_SHARD", 1)
+    monkeypatch.setattr(places, "_SIZE", (96, 128))
+    write_photograph(tmp_path / "measured" / "square")
+    found = places.frame_places(shipped, tmp_path, 1, 1)
+    features, (right, nearly, kind, group) = found[: -places.LABELS], found[-places.LABELS :]
+    assert len(features) == 7 and found.shape[1] > 300 and np.isfinite(found).all()
+    assert (right <= nearly).all() and np.mean(right) > 0.1 and nearly.max() == 1
+    assert places.PHOTOGRAPH in kind and set(kind) <= {0, 1, 2, places.PHOTOGRAPH}
+    assert set(group) == {0}
     # Kept by the weights that they are of.
-    assert [path.name[:7] for path in tmp_path.iterdir() if path.name != "banks"] == ["places_"]
+    names = {path.name.partition("_")[0] for path in tmp_path.iterdir() if path.is_dir()}
+    assert names - {"banks"} == {"measured", "places", "photographs"}
 
 
 @pytest.fixture
@@ -284,7 +337,8 @@ def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_
     run("refinement", "export", "--folder", tmp_path)
     exported = tmp_path / "refinement.npz"
     old, new = (read_archive(each, SCHEMA, SCHEMA_VERSION) for each in (path, exported))
-    added_later = {"levels_int8", "cells_int8", "calibration", "deviation"}
+    confidence = {f"confidence{layer}" for layer in range(3)}
+    added_later = {"levels_int8", "cells_int8", "deviation"} | confidence
     assert set(old) == set(new) | added_later and not added_later & set(new)
     for name in ("first_weights", "size_bias", "choice_weights", "trust"):
         np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-6)

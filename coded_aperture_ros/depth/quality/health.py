@@ -44,8 +44,8 @@ CAUSE_TEXTS = {
 }
 # Least health of a frame that fits.
 FIT_THRESHOLD = 0.5
-# Confidence is lowered from the first health on, down to that of a guess at the second. With these
-# it is calibrated over frames that fit and others together.
+# Confidence is lowered from the first health on, down to that of a guess at the second, with the
+# square of the health between them: then next to nothing is published of frames that do not fit.
 _TRUSTED = 0.7
 WITHHOLD_BELOW = 0.2
 _CHANCE_CONFIDENCE = 0.2
@@ -66,7 +66,7 @@ _DITHER = 6e-4
 # that is another depth.
 _UNSURE_PX = 4.0
 _FAR_PX = 1.5
-# Default threshold of the confidence.
+# Default threshold of the confidence when the network was fitted.
 _CONFIDENT = 0.55
 # Every third row and column of the confidence is enough for its mean.
 _SPARSE = 3
@@ -122,7 +122,7 @@ class Health:
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
         left = np.float32(
-            np.clip((self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW), 0, 1)
+            np.clip((self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW), 0, 1) ** 2
         )
         if left >= 1:
             return confidence

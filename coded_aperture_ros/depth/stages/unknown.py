@@ -28,7 +28,7 @@ class Config:
     """Which depth is unknown."""
 
     confidence_threshold: float = option(
-        0.55,
+        0.45,
         "Depth is unknown where the confidence is below this; that of classical regularisation is "
         "at most 0.90.",
         within=(0.0, 1.0),

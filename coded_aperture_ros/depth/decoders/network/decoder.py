@@ -238,11 +238,8 @@ class NetworkDecoder:
             side_confidence = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
             possible *= np.where(self._sides.is_ambiguous(level), 1, side_confidence)
-        probability = half_cells.right_within(tolerance_px)
-        calibration = self._network.calibration
-        confidence = possible * calibration.confidence(
-            probability, half_cells.size_px, tolerance_px
-        )
+        features = half_cells.confidence_features(tolerance_px)
+        confidence = possible * self._network.calibration.confidence(features)
         return level, confidence, side_confidence
 
     @property

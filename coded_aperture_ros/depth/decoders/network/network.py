@@ -240,54 +240,40 @@ _SURE = 1e-3
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Calibration:
-    """Calibration of confidence and standard deviation from the network's probabilities.
+    """Calibration of confidence and standard deviation: a small network, and a factor.
 
-    Its values are in the weights' file, into which `training/train.py refinement calibrate` writes
-    them, fitted on random scenes kept apart: the network is underconfident for wide blur, and
-    overconfident where the error may be many pixels.
+    They are in the weights' file, into which `training/train.py refinement calibrate` writes them,
+    fitted on random scenes and photographs with measured disparity that were kept apart: by itself
+    the refinement is underconfident on large smooth surfaces and for wide blur, and overconfident
+    between surfaces and where the error may be many pixels.
 
     Attributes
     ----------
-    coefficients : ndarray, float32 [4]
-        Of the logarithm of the odds that a depth is right: a constant, and the factors of the
-        logarithm of the network's odds, of the blur size in px, and of the logarithm of the
-        tolerance in px.
+    layers : tuple of ndarray, float32 [out, in + 1]
+        Weights and, last, biases, from `HalfCells.confidence_features` to the logarithm of the odds
+        that a depth is right; negative outputs of all but the last layer become 0.
     deviation : float32
-        Factor of the standard deviation of the network's blur sizes.
+        Factor of the standard deviation of the refinement's blur sizes.
     """
 
-    coefficients: FloatArray
+    layers: tuple[FloatArray, ...]
     deviation: np.float32
 
     @classmethod
     def from_weights(cls, arrays: Mapping[str, NDArray[Any]]) -> "Calibration":
-        """Calibration in a weights' file (`calibration`, `deviation`).
+        """Calibration in a weights' file (`confidence0`, ..., `deviation`).
 
         Weights that are about to be calibrated have none: their probabilities stay as they are.
         """
-        coefficients = arrays.get("calibration", np.array([0, 1, 0, 0]))
-        return cls(as_floats(coefficients), np.float32(arrays.get("deviation", 1)))
+        layers = (as_floats(arrays[name]) for name in sorted(arrays) if "confidence" in name)
+        return cls(tuple(layers), np.float32(arrays.get("deviation", 1)))
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of the weights' file, by their names."""
-        return {"calibration": self.coefficients, "deviation": np.array(self.deviation)}
-
-    def confidence(
-        self, probability: FloatArray, size_px: FloatArray, tolerance_px: FloatArray
-    ) -> FloatArray:
-        """Probability that depths are right, 0 to 1.
-
-        Parameters
-        ----------
-        probability : ndarray, float32
-            Network's probability of an error below the tolerance.
-        size_px, tolerance_px : ndarray, float32
-            Blur size, and its largest error of a right depth.
-        """
-        offset, odds_factor, size_factor, tolerance_factor = self.coefficients
-        odds = offset + odds_factor * log_odds(probability) + size_factor * size_px
-        odds += tolerance_factor * np.log(tolerance_px)
-        return np.asarray(1 / (1 + np.exp(-odds)), np.float32)
+    def confidence(self, features: FloatArray) -> FloatArray:
+        """Probability that depths are right, 0 to 1 [...], from features [features, ...]."""
+        values = features.reshape(len(features), -1)
+        for number, layer in enumerate(self.layers):
+            values = layer[:, :-1] @ (np.maximum(values, 0) if number else values) + layer[:, -1:]
+        return np.asarray(1 / (1 + np.exp(-values[0])), np.float32).reshape(features.shape[1:])
 
 
 def log_odds(probability: FloatArray) -> FloatArray:

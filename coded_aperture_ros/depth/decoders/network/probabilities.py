@@ -2,12 +2,13 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.network import Logits, to_half_cells
+from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds, to_half_cells
 
 # Bins on either side of the likeliest that the blur size is the mean over.
 REACH = 2
@@ -18,6 +19,10 @@ _SUREST = 0.98
 _LOG_WIDTHS = (-4.0, 2.0)
 # Least probability in a division.
 _LEAST_PROBABILITY = np.float32(1e-6)
+# Neighbours among which other surfaces are looked for, and squares that log-odds are a mean over,
+# in half-cells.
+_NEIGHBOURS = (5, 5)
+_AROUND = (13, 13), (33, 33)
 # Half-cells that are processed together: as many as a core's cache holds.
 _CHUNK = 5376
 
@@ -83,6 +88,18 @@ class HalfCells:
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
         """Probability that the error is within a tolerance [rows, columns]."""
         return np.asarray(self.about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
+
+    def confidence_features(self, tolerance_px: FloatArray) -> FloatArray:
+        """Features that confidence is calibrated by, float32 [features, rows, columns].
+
+        Log-odds that the error is within the tolerance, blur size, tolerance; the log-odds around;
+        and how much more and less blurred neighbours are, in tolerances.
+        """
+        size, odds = self.size_px, log_odds(self.right_within(tolerance_px))
+        ends = (turn(size, np.ones(_NEIGHBOURS, np.uint8)) for turn in (cv2.dilate, cv2.erode))
+        around = (cv2.blur(odds, side) for side in _AROUND)
+        apart = (np.log1p(np.abs(end - size) / tolerance_px) for end in ends)
+        return np.stack([odds, size, np.log(tolerance_px), *around, *apart])
 
     def deviation_px(self) -> FloatArray:
         """Standard deviation of the blur size [rows, columns]: 68 % of errors are within it."""
