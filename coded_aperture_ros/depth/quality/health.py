@@ -121,9 +121,8 @@ class Health:
 
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
-        left = np.float32(
-            np.clip((self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW), 0, 1) ** 2
-        )
+        share = (self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW)
+        left = np.float32(np.clip(share, 0, 1) ** 2)
         if left >= 1:
             return confidence
         lowest = np.minimum(confidence, np.float32(_CHANCE_CONFIDENCE))

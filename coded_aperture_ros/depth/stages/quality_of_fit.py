@@ -56,7 +56,9 @@ class QualityOfFit(Stage):
         """Check the frame."""
         health, misfit = work.health, work.frame_cost.misfit
         if self.check is not None and misfit is not None:
-            own = self.check(work.observation, misfit, work.level, work.confidence)
+            # What it has learned with, where that is not what is published.
+            sure = getattr(work.decoded, "checked", work.confidence)
+            own = self.check(work.observation, misfit, work.level, sure)
             if own is not None and (health is None or own.value <= health.value):
                 health = own
         work.health = health

@@ -91,6 +91,8 @@ class NetworkDecoded:
     scale: SizeScale
     drawing: Drawing
     blank: bool  # whether the whole frame has no texture
+    # [rows, columns]; confidence of every half-cell that the check of fit has learned with.
+    checked: FloatArray
     unusable: BoolArray  # [map rows, map columns]; where no patch is usable
     blind: BoolArray  # where no patch is usable, and past frames have no cost either
 
@@ -170,24 +172,23 @@ class NetworkDecoder:
         features, logits = self._run(observation, volume, frame_cost, frame_cost.small, cells)
         half_cells = HalfCells.from_logits(logits, self._tried_px, self._workers)
         far = self._far_probability(half_cells.size_px, volume, cells)
-        level, confidence, side_confidence = self._rate(half_cells, far)
+        level, confidence, side_confidence, checked = self._rate(half_cells, far)
         calibration = self._network.calibration
         deviation = half_cells.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
         drawing = Drawing(cells, size, chosen_neighbours(logits.neighbour))
         one_surface = _ONE_SURFACE_PX * float(self._scale.levels_per_px)
         confidence_map = drawing.render_map(confidence, _ONE_CONFIDENCE)
-        blank = bool(volume.max() <= _BLANK_COST)
-        if blank:
-            confidence_map[:] = 0
+        flat = volume.max(axis=-1) <= _BLANK_COST
+        blank = bool(flat.all())
         at = MapGrid.for_map(observation.grid, observation.grey.shape, size)
         unusable = at.nearest_patch_values(~observation.usable)
-        confidence_map[unusable] = 0
+        confidence_map[unusable | blank] = 0
         return NetworkDecoded(
             level=drawing.render_map(level, one_surface),
             deviation=drawing.render_map(deviation, _ONE_DEVIATION),
             confidence=confidence_map,
             side_confidence=None
-            if side_confidence is None
+            if self._sides is None
             else drawing.render_map(side_confidence, _ONE_CONFIDENCE),
             logits=logits,
             features=features,
@@ -196,10 +197,9 @@ class NetworkDecoder:
             scale=self._scale,
             drawing=drawing,
             blank=blank,
+            checked=checked,
             unusable=unusable,
-            blind=at.nearest_patch_values(
-                ~observation.usable & (volume.max(axis=-1) <= _BLANK_COST)
-            ),
+            blind=at.nearest_patch_values(~observation.usable & flat),
         )
 
     def _run(
@@ -222,8 +222,8 @@ class NetworkDecoder:
 
     def _rate(
         self, half_cells: HalfCells, far: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-        """Level, confidence and side confidence of every half-cell; [rows, columns] each."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Level, confidence, side confidence and what is checked; [rows, columns] each."""
         sizes_px = self._scale.sizes_px
         signed_px = np.where(far >= 0.5, half_cells.size_px, -half_cells.size_px)
         level = self._scale.level(signed_px)
@@ -233,14 +233,14 @@ class NetworkDecoder:
             signed_px - np.clip(signed_px, float(sizes_px.min()), float(sizes_px.max()))
         )
         possible = (beyond_px <= BLUR_STEP_PX).astype(np.float32)
-        side_confidence = None
+        side_confidence = np.maximum(far, 1 - far)
         if self._sides is not None:
-            side_confidence = np.maximum(far, 1 - far)
             # Where both sides' depths are about the same, either is right.
             possible *= np.where(self._sides.is_ambiguous(level), 1, side_confidence)
         features = half_cells.confidence_features(tolerance_px)
         confidence = possible * self._network.calibration.confidence(features)
-        return level, confidence, side_confidence
+        checked = possible * self._network.checked.confidence(features[:3])
+        return level, confidence, side_confidence, checked
 
     @property
     def _near_share(self) -> float:

@@ -149,6 +149,7 @@ class Network:
         self._tried = slice(int(first), int(last) + 1)
         self._trust = as_floats(arrays["trust"])
         self.calibration = Calibration.from_weights(arrays)
+        self.checked = Calibration((as_floats(arrays["checked"]),), np.float32(1))
         self._first = _FirstLayer.from_weights(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
@@ -272,7 +273,8 @@ class Calibration:
         """Probability that depths are right, 0 to 1 [...], from features [features, ...]."""
         values = features.reshape(len(features), -1)
         for number, layer in enumerate(self.layers):
-            values = layer[:, :-1] @ (np.maximum(values, 0) if number else values) + layer[:, -1:]
+            values = layer[:, :-1] @ (np.maximum(values, 0, out=values) if number else values)
+            values += layer[:, -1:]
         return np.asarray(1 / (1 + np.exp(-values[0])), np.float32).reshape(features.shape[1:])
 
 

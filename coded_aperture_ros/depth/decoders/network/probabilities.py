@@ -21,7 +21,7 @@ _LOG_WIDTHS = (-4.0, 2.0)
 _LEAST_PROBABILITY = np.float32(1e-6)
 # Neighbours among which other surfaces are looked for, and squares that log-odds are a mean over,
 # in half-cells.
-_NEIGHBOURS = (5, 5)
+_SQUARE = np.ones((5, 5), np.uint8)
 _AROUND = (13, 13), (33, 33)
 # Half-cells that are processed together: as many as a core's cache holds.
 _CHUNK = 5376
@@ -96,10 +96,9 @@ class HalfCells:
         and how much more and less blurred neighbours are, in tolerances.
         """
         size, odds = self.size_px, log_odds(self.right_within(tolerance_px))
-        ends = (turn(size, np.ones(_NEIGHBOURS, np.uint8)) for turn in (cv2.dilate, cv2.erode))
-        around = (cv2.blur(odds, side) for side in _AROUND)
-        apart = (np.log1p(np.abs(end - size) / tolerance_px) for end in ends)
-        return np.stack([odds, size, np.log(tolerance_px), *around, *apart])
+        means = (cv2.blur(odds, side) for side in _AROUND)
+        apart = np.abs([turn(size, _SQUARE) - size for turn in (cv2.dilate, cv2.erode)])
+        return np.stack([odds, size, np.log(tolerance_px), *means, *np.log1p(apart / tolerance_px)])
 
     def deviation_px(self) -> FloatArray:
         """Standard deviation of the blur size [rows, columns]: 68 % of errors are within it."""
