@@ -328,7 +328,8 @@ def _features(
     estimator.close()
     size_px, confidence = estimate.blur_size_px, estimate.confidence
     misfit = work.frame_cost.misfit
-    looks = levels.check.features(work.observation, misfit, estimate.level, confidence)
+    checked = getattr(work.decoded, "checked", confidence)
+    looks = levels.check.features(work.observation, misfit, estimate.level, checked)
     *_, features = [None, *looks]
     if features is None:
         return None

@@ -138,6 +138,26 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
     assert np.median(ratio) == pytest.approx(2, rel=1e-3)
 
 
+def test_the_check_of_fit_is_given_what_it_has_learned_with(bank, seen, monkeypatch):
+    """Whatever confidence is published, the health of a frame is the same."""
+    arrays = read_shipped(
+        refinement.__file__, "refinement.npz", refinement.SCHEMA, refinement.SCHEMA_VERSION
+    )
+    assert arrays["checked"].shape == (1, 4)
+    scene, frame = seen
+    found = []
+    for last in (0, 3):
+        changed = arrays | {
+            "confidence2": arrays["confidence2"] - np.float32(np.eye(1, 17, 16) * last)
+        }
+        monkeypatch.setattr(refinement, "read_shipped", lambda *_, new=changed: new)
+        estimator = DepthEstimator(bank, DepthConfig(noise=NOISE), scene.camera)
+        found.append(estimator.estimate(frame))
+        estimator.close()
+    assert found[1].confidence.mean() < found[0].confidence.mean() - 0.2
+    assert found[1].health == found[0].health
+
+
 def test_weights_without_a_calibration_have_the_probabilities_of_the_network():
     """As they have before `training/train.py refinement calibrate`."""
     calibration = Calibration.from_weights({})

@@ -338,7 +338,7 @@ def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_
     exported = tmp_path / "refinement.npz"
     old, new = (read_archive(each, SCHEMA, SCHEMA_VERSION) for each in (path, exported))
     confidence = {f"confidence{layer}" for layer in range(3)}
-    added_later = {"levels_int8", "cells_int8", "deviation"} | confidence
+    added_later = {"levels_int8", "cells_int8", "deviation", "checked"} | confidence
     assert set(old) == set(new) | added_later and not added_later & set(new)
     for name in ("first_weights", "size_bias", "choice_weights", "trust"):
         np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-6)
