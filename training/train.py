@@ -198,7 +198,7 @@ def _parser() -> argparse.ArgumentParser:
         help="Dask scheduler whose workers make the data instead of processes here",
     )
     data.add_argument(
-        "--frames", type=int, default=500, help="that calibrate looks at: %(default)s"
+        "--frames", type=int, default=240, help="that calibrate looks at: %(default)s"
     )
     group = parser.add_argument_group("fit")
     group.add_argument("--minutes", type=float, help="default: the task's")
