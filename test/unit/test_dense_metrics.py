@@ -30,6 +30,7 @@ def test_depths_between_two_surfaces_fly():
     depth[4, 72] = 3
     depth[5, 40] = 2  # the other surface
     truth[6, 40], depth[6, 40] = np.nan, 3
+    depth[7, 38:44] = 5  # behind both
     expected = np.zeros(truth.shape, bool)
     expected[0, 38:44] = True
     np.testing.assert_array_equal(flying_pixels(depth, truth), expected)
