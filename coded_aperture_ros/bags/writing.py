@@ -11,7 +11,7 @@ from coded_aperture_ros.bags.contents import Supplement, Topic
 from coded_aperture_ros.bags.names import METADATA
 from coded_aperture_ros.bags.reading import check_rosbags
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import replace_folder, temporary_folder
+from coded_aperture_ros.core.folders import replace_folder, temporary_folder
 from coded_aperture_ros.core.leftovers import remove_leftovers
 
 # Of bags as ROS 2 Jazzy writes them.

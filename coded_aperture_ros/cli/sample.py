@@ -11,7 +11,7 @@ import numpy as np
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import temporary_folder
+from coded_aperture_ros.core.folders import temporary_folder
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.io import write_depth, write_image

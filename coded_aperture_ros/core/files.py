@@ -1,10 +1,8 @@
 """Output files: written whole or not at all, and checked before long work."""
 
-import ctypes
 import dataclasses
 import errno
 import os
-import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -12,11 +10,8 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.leftovers import REPLACED, remove_leftovers, temporary_name
+from coded_aperture_ros.core.leftovers import remove_leftovers, temporary_name
 
-# Of Linux: names are not relative to an open folder, and are exchanged.
-_HERE = -100
-_RENAME_EXCHANGE = 2
 # Files of the set that is being written, with what renames them; see `output_set`.
 _set: ContextVar[list[tuple[Path, Path]] | None] = ContextVar("output_set", default=None)
 
@@ -54,10 +49,10 @@ def atomic_output(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield temporary
         with suppress(FileNotFoundError):
             temporary.chmod(target.stat().st_mode & 0o7777)
-        _flush(temporary)
+        flush(temporary)
         if renamed_later is None:
             temporary.replace(target)
-            _flush(target.parent)
+            flush(target.parent)
         else:
             renamed_later.append((temporary, target))
     except OSError as error:
@@ -96,7 +91,7 @@ def output_set() -> Iterator[None]:
             except OSError as error:
                 raise InputError(f"cannot write {target}: {_reason(error)}") from error
         for folder in {target.parent for _, target in files}:
-            _flush(folder)
+            flush(folder)
     finally:
         _set.reset(token)
         for temporary, _ in files:
@@ -112,7 +107,7 @@ def _new_file(target: Path) -> Path:
             return temporary
 
 
-def _flush(path: Path) -> None:
+def flush(path: Path) -> None:
     """Write a file, or the names in a folder, to the disk."""
     handle = os.open(path, os.O_RDONLY)
     try:
@@ -140,26 +135,6 @@ def atomic_outputs() -> Iterator[Callable[[str | os.PathLike[str]], Path]]:
     """
     with output_set(), ExitStack() as files:
         yield lambda path: files.enter_context(atomic_output(path))
-
-
-@contextmanager
-def temporary_folder(path: Path) -> Iterator[Path]:
-    """Temporary folder beside `path`; removed at the end, with parents created for it."""
-    created = [parent for parent in path.absolute().parents if not parent.exists()]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        remove_leftovers(path.parent)
-        temporary = path.parent / temporary_name(path.name)
-        temporary.mkdir(mode=0o700)
-        try:
-            yield temporary
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-    finally:
-        if not path.exists():
-            for parent in created:
-                with suppress(OSError):
-                    parent.rmdir()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -213,44 +188,6 @@ class Outputs:
 def _names_file(path: str | os.PathLike[str]) -> bool:
     """Whether an output is a file, not a folder: it has a suffix."""
     return bool(Path(path).suffix) and not str(path).endswith("/") and not Path(path).is_dir()
-
-
-def replace_folder(new: Path, path: Path) -> None:
-    """Give a folder the name of another one, which gets the name of the first or is removed.
-
-    At every moment a whole folder has the name. Only where a file system cannot exchange two names
-    there is a moment without: if the process is killed in it, `remove_leftovers` gives the old
-    folder its name again.
-    """
-    for file in (each for each in new.rglob("*") if each.is_file()):
-        _flush(file)
-    _flush(new)
-    if not path.exists():
-        new.rename(path)
-    elif not _exchange(new, path):
-        _replace_in_two_steps(new, path)
-    _flush(path.parent)
-
-
-def _replace_in_two_steps(new: Path, path: Path) -> None:
-    old = path.with_name(temporary_name(path.name, REPLACED))
-    path.rename(old)
-    try:
-        new.rename(path)
-    except OSError:
-        old.rename(path)
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two names at once; False if that cannot be done here."""
-    rename = getattr(ctypes.CDLL(None), "renameat2", None)
-    if rename is None:
-        return False
-    names = (os.fsencode(each.absolute()) for each in (one, other))
-    first, second = names
-    return bool(rename(_HERE, first, _HERE, second, _RENAME_EXCHANGE) == 0)
 
 
 def check_suffix(path: str | os.PathLike[str], suffixes: Sequence[str]) -> None:

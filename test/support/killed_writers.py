@@ -12,7 +12,7 @@ from pathlib import Path
 
 from killed_steps import kill_at_step
 
-from coded_aperture_ros.core import files
+from coded_aperture_ros.core import files, folders
 from coded_aperture_ros.core.leftovers import remove_leftovers
 
 OLD, NEW = {"a": "old", "b": "old"}, {"a": "new", "b": "new"}
@@ -35,17 +35,17 @@ def write_files(folder):
 
 def write_folder(folder):
     """Replace a folder that has two files."""
-    with files.temporary_folder(folder / "bag") as temporary:
+    with folders.temporary_folder(folder / "bag") as temporary:
         new = temporary / "bag"
         new.mkdir()
         for name, text in NEW.items():
             (new / name).write_text(text)
-        files.replace_folder(new, folder / "bag")
+        folders.replace_folder(new, folder / "bag")
 
 
 def write_folder_in_two_steps(folder):
     """Replace a folder where names cannot be exchanged."""
-    files._exchange = lambda one, other: False
+    folders._exchange = lambda one, other: False
     write_folder(folder)
 
 

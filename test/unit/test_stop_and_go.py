@@ -11,7 +11,8 @@ import pytest
 
 from coded_aperture_ros.bags.engine import WorkerLostError
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_output, replace_folder, temporary_folder
+from coded_aperture_ros.core.files import atomic_output
+from coded_aperture_ros.core.folders import replace_folder, temporary_folder
 from coded_aperture_ros.core.leftovers import temporary_name
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.frames.frame import StampOrder
@@ -144,7 +145,7 @@ def test_leftover_folders_are_removed_by_the_next_folder(tmp_path):
 @pytest.mark.parametrize("name", ["bag", "replaced"])
 def test_a_folder_is_replaced_as_a_whole(tmp_path, monkeypatch, exchanges, name):
     if not exchanges:
-        monkeypatch.setattr("coded_aperture_ros.core.files._exchange", lambda one, other: False)
+        monkeypatch.setattr("coded_aperture_ros.core.folders._exchange", lambda one, other: False)
     path = tmp_path / name
     path.mkdir()
     (path / "old").write_text("old")

@@ -11,7 +11,7 @@ import numpy as np
 
 from coded_aperture_ros.bags.writing import describe_write_errors
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.core.files import temporary_folder
+from coded_aperture_ros.core.folders import temporary_folder
 from coded_aperture_ros.depth.points import points_of_frame
 from coded_aperture_ros.io import confidence_picture, depth_picture, write_depth, write_image
 from coded_aperture_ros.io.messages import pixels_from_frame
