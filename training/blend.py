@@ -8,14 +8,22 @@ from typing import Any
 
 import numpy as np
 import torch
-from loop import Problem, Schedule, check_enough, device_of, on_device, shuffled, turned
-from networks import fold, round_weights, to_onnx
 from pictures import DEPTHS, PICTURES
 from shards import Arrays
+from states import check_enough
 from task import Options, Task
 from torch import nn
 from torch.nn import functional
 
+from coded_aperture_ros.calibration.fine_tuning.loop import (
+    Problem,
+    Schedule,
+    device_of,
+    on_device,
+    shuffled,
+    turned,
+)
+from coded_aperture_ros.calibration.fine_tuning.onnx_form import fold, round_weights, to_onnx
 from coded_aperture_ros.deblur.blend import blend as package
 from coded_aperture_ros.deblur.blend.features import CELL_PX, MAPS
 from coded_aperture_ros.deblur.blend.hypotheses import HYPOTHESES

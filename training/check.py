@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from loop import Problem, Schedule, check_enough, on_device
 from misfits import MISFITS_DATA
 from shards import Arrays
+from states import check_enough
 from task import Options, Task
 from torch import nn
 from torch.nn import functional
 
+from coded_aperture_ros.calibration.fine_tuning.loop import Problem, Schedule, on_device
 from coded_aperture_ros.depth import CAUSES
 from coded_aperture_ros.depth.quality import health as package
 

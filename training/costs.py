@@ -10,6 +10,7 @@ from banks import BankPair, kept_banks
 from scenes import SCENES, blur_px, frame_numbers, light_and_blur, mask_named, scene_plan
 from shards import Arrays, Data, stack
 
+from coded_aperture_ros.calibration.fine_tuning.cells import CELLS, padded
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network.cells import CELL_PX, Cells
 from coded_aperture_ros.depth.decoders.network.features import (
@@ -24,8 +25,6 @@ from coded_aperture_ros.likelihood import bounded_cost
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.optics import render_psf_stack
 
-# Frames of one size have no more cells a side than this, whatever the window.
-CELLS = 40
 _LARGEST_PX = 22.6
 # Window, and distance between levels; the first are what is used most.
 _BANKS = ((48, 0.5), (48, 0.44), (48, 0.58), (40, 0.5), (64, 0.5), (32, 0.5))
@@ -167,8 +166,8 @@ def network_inputs(
     truth = observed.grid.centre_values(true_px)
     about = np.abs(sizes[cost.volume.argmin(-1)] - truth) < 1
     return {
-        "costs": _padded(cost_features(scales, around, cells, sizes, near), CELLS),
-        "frame": _padded(frame_features(around, cells), 2 * CELLS),
+        "costs": padded(cost_features(scales, around, cells, sizes, near), CELLS),
+        "frame": padded(frame_features(around, cells), 2 * CELLS),
         "tried": tried_sizes(sizes),
         "corner": np.array([cells.top, cells.left], np.int32),
         "told": np.float32(about.mean()),
@@ -184,21 +183,6 @@ def _kept_levels(sizes: np.ndarray, true_px: np.ndarray, number: int) -> np.ndar
         ends += [-8, 8]
     kept = (sizes >= min(ends[0], low - 0.3)) & (sizes <= max(ends[1], high + 0.3))
     return np.flatnonzero(kept) if kept.sum() >= 8 else np.arange(len(sizes))
-
-
-def _padded(values: np.ndarray, side: int) -> np.ndarray:
-    """Values with the last two axes padded to a common size by the outermost ones; float16."""
-    margins = [(0, 0)] + [(0, side - length) for length in values.shape[-2:]]
-    return np.pad(values, margins, mode="edge").astype(np.float16)
-
-
-def on_all_cells(values: np.ndarray, corner: np.ndarray, fill: float) -> np.ndarray:
-    """Map of a frame at every pixel of its cells, float32; filled beyond the frame."""
-    whole = np.full((CELLS * CELL_PX,) * 2, fill, np.float32)
-    top, left = corner
-    within = whole[-top:, -left:][: values.shape[0], : values.shape[1]]
-    within[:] = values[: within.shape[0], : within.shape[1]]
-    return whole
 
 
 def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arrays:

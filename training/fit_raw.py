@@ -15,15 +15,16 @@ from typing import Any
 
 import numpy as np
 import torch
-from loop import Schedule
 from raw.cameras import random_camera
 from raw.network import LEVELS, AnyOptics, OneOptics
 from raw.planes import light_through
 from raw.samples import Sample, Sources, batches, lights, load_photographs, sample
 from raw.scenes import Slices, load_slices
-from refinement_loss import APART_PX, dilated
 from torch import nn
 from torch.nn import functional
+
+from coded_aperture_ros.calibration.fine_tuning.loop import Schedule
+from coded_aperture_ros.calibration.fine_tuning.loss import APART_PX, dilated
 
 _SLICES = 24
 _ONE_MASK = "levin"

@@ -3,47 +3,37 @@
 import copy
 import dataclasses
 import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from calibration import calibration_arrays, confidence_calibration, deviation_calibration
-from costs import CELLS, COSTS, on_all_cells
-from loop import (
-    Problem,
-    Schedule,
-    averaged_weights,
-    check_enough,
-    device_of,
-    on_device,
-    shuffled,
-    turned,
-)
-from networks import fold, load_folded, onnx_weights, recording, renormalise, round_weights, to_onnx
+from costs import COSTS
+from networks import recording
 from places import frame_places
-from refinement_loss import Batch, divergence, true_losses, weighted_sum
-from refinement_network import BINS, Refinement, large_network
-from scenes import BLUR_STEP, FIRST_RARE_SHARD, SCENES
+from scenes import FIRST_RARE_SHARD, SCENES
 from shards import Arrays
+from states import averaged_weights, check_enough
 from task import Options, Task
 from weights_file import package_weights, read_weights
 
+from coded_aperture_ros.calibration.fine_tuning.frames import BATCH, Frame, batches, score
+from coded_aperture_ros.calibration.fine_tuning.loop import Problem, Schedule, on_device
+from coded_aperture_ros.calibration.fine_tuning.loss import (
+    Batch,
+    divergence,
+    true_losses,
+    weighted_sum,
+)
+from coded_aperture_ros.calibration.fine_tuning.network import Refinement, large_network
+from coded_aperture_ros.calibration.fine_tuning.onnx_form import fold, renormalise, round_weights
+from coded_aperture_ros.calibration.fine_tuning.weights import network_arrays, network_of_arrays
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network import network as package
-from coded_aperture_ros.depth.decoders.network.cells import CELL_PX
-from coded_aperture_ros.depth.decoders.network.features import (
-    BLUR_SIZES_PX,
-    COST_CHANNELS,
-    FRAME_CELL_PX,
-    SCALARS,
-)
+from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 
-_BATCH = 8
-# Cells a side of what is learned from at a time: a part of each frame.
-_PART = 36
 _RATE = 2e-3
 _FURTHER_RATE = 6e-4
 # What passes through the network that is fitted on is learned from so many batches.
@@ -52,53 +42,11 @@ _RENORMALISED_BATCHES = 24
 _TRUTH_SHARE = 0.5
 # Of the weights before, in an average with those that were fitted further from them.
 _FORMER_SHARE = 0.3
-# Sizes that are written into the file; OpenCV takes others, too.
-_ROWS = 64
-_COLUMNS = 84
-_LEVELS = 30
 # One frame in so many of a few shards tells the ranges of the layers as well.
 _QUANTISED_EVERY = 3
 _QUANTISED_SHARDS = 4
 # Least tolerance, px: its logarithm must be finite.
 _LEAST_PX = 1e-3
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Frame:
-    """One frame as it is kept in memory.
-
-    Attributes
-    ----------
-    costs, frame : ndarray, float16 [channels, rows, columns]
-        See `cost_features` and `frame_features`.
-    tried : ndarray, bool [blur sizes]
-    blur : ndarray, int16 [height, width]
-        True blur size in steps of `BLUR_STEP`; 0 if it is not known.
-    corner : ndarray, int [2]
-        First row and column of the cells; 0 or less.
-    infinity_px : float
-        Blur size of what is infinitely far.
-    rare : bool
-        See `scenes.scene_plan`.
-    """
-
-    costs: np.ndarray
-    frame: np.ndarray
-    tried: np.ndarray
-    blur: np.ndarray
-    corner: np.ndarray
-    infinity_px: float
-    rare: bool
-
-    def true_blur_px(self) -> np.ndarray:
-        """Signed blur size at every pixel of the cells; NaN where it is not known."""
-        blur = self.blur * np.float32(BLUR_STEP)
-        blur[self.blur == 0] = np.nan
-        return on_all_cells(blur, self.corner, np.nan)
-
-    def run(self, network: package.Network) -> package.Logits:
-        """What a network of the package says of the frame."""
-        return network(self.costs.astype(np.float32), self.frame.astype(np.float32))
 
 
 def load_frames(folder: Path, shards: tuple[int, ...], least_told: float = 0.0) -> list[Frame]:
@@ -123,43 +71,6 @@ def load_frames(folder: Path, shards: tuple[int, ...], least_told: float = 0.0) 
     return frames
 
 
-def _sample(frame: Frame, random: np.random.Generator, augment: bool) -> tuple[np.ndarray, ...]:
-    """Arrays of a `Batch`, of one frame; a random part of it, turned at random, if `augment`."""
-    down, right = random.integers(CELLS - _PART + 1, size=2) if augment else (0, 0)
-
-    def part(values: np.ndarray, per_cell: int) -> np.ndarray:
-        top, left, size = per_cell * down, per_cell * right, per_cell * _PART
-        return values[..., top : top + size, left : left + size]
-
-    costs, texture = part(frame.costs, 1), part(frame.frame, 2)
-    truth = part(np.abs(frame.true_blur_px()), CELL_PX)
-    if augment:
-        flip, turns = random.random() < 0.5, int(random.integers(4))
-        costs, truth = (turned(values, flip, turns) for values in (costs, truth))
-        texture = turned(texture, flip, turns, FRAME_CELL_PX)
-    # One pixel of each quarter of a half-cell.
-    down, right = random.integers(2, size=2)
-    return (
-        costs.astype(np.float32),
-        texture.astype(np.float32),
-        frame.tried,
-        truth[down::2, right::2].copy(),
-        np.float32(frame.rare),
-    )
-
-
-def _batch(frames: list[Frame], random: np.random.Generator, augment: bool) -> Batch:
-    samples = [_sample(frame, random, augment) for frame in frames]
-    return Batch(*(torch.from_numpy(np.stack(parts)) for parts in zip(*samples, strict=True)))
-
-
-def batches(frames: list[Frame], seed: int) -> Iterator[Batch]:
-    """Batches of parts of all frames in random order, turned at random, without an end."""
-    random = np.random.default_rng(seed)
-    for some in shuffled(frames, _BATCH, random):
-        yield _batch(some, random, augment=True)
-
-
 class RefinementTask(Task):
     """Fit the network that ships: by the truth, and by the teacher if there is one."""
 
@@ -168,10 +79,10 @@ class RefinementTask(Task):
     def problem(self, options: Options) -> Problem:
         frames = load_frames(options.folder, options.shards, options.least_told)
         held_back = load_frames(options.folder, options.held_back)
-        check_enough(frames, held_back, _BATCH, _BATCH)
+        check_enough(frames, held_back, BATCH, BATCH)
         network = self._new_network()
         if options.further:
-            network = shipped_network(options.further).to(options.device)
+            network = network_of_arrays(read_weights(options.further, package)).to(options.device)
             some = itertools.islice(batches(frames, 0), _RENORMALISED_BATCHES)
             some = (on_device(batch, options.device) for batch in some)
             renormalise(network, ((batch.costs, batch.frame) for batch in some))
@@ -183,7 +94,7 @@ class RefinementTask(Task):
             schedule,
             lambda seed: batches(frames, seed),
             loss,
-            lambda average: _score(average, held_back),
+            lambda average: score(average, held_back),
         )
 
     def _new_network(self) -> Refinement:
@@ -207,7 +118,7 @@ class RefinementTask(Task):
         network.load_state_dict(weights)
         fold(network)
         if options.further:
-            former = shipped_network(options.further)
+            former = network_of_arrays(read_weights(options.further, package))
             fold(former)
             for parameter, other in zip(network.parameters(), former.parameters(), strict=True):
                 parameter.data.lerp_(other.data, _FORMER_SHARE)
@@ -277,63 +188,6 @@ class _Loss:
         return of_truth.mean() * weighted_sum(parts) + taught.mean() * parts["taught"], parts
 
 
-def _score(network: torch.nn.Module, frames: list[Frame]) -> dict[str, float]:
-    """Mean losses of frames that are not learned from."""
-    random = np.random.default_rng(0)
-    sums: dict[str, float] = {}
-    starts = range(0, len(frames) - _BATCH + 1, _BATCH)
-    device = device_of(network)
-    with torch.no_grad():
-        for start in starts:
-            batch = _batch(frames[start : start + _BATCH], random, augment=False)
-            batch = on_device(batch, device)
-            outputs = network(batch.costs, batch.frame)
-            for name, value in true_losses(outputs, batch, *batch.true_quarters()).items():
-                sums[name] = sums.get(name, 0.0) + float(value)
-    return {name: round(value / len(starts), 4) for name, value in sums.items()}
-
-
-def network_arrays(network: Refinement) -> dict[str, Any]:
-    """Arrays of the weights' file, of a network whose normalisations are folded."""
-    first = network.every_level.layers.first
-    of_level = torch.zeros(_LEVELS, first.out_channels, _ROWS // 2, _COLUMNS // 2)
-    of_cells = {
-        "costs": torch.zeros(1, COST_CHANNELS + SCALARS, _ROWS, _COLUMNS),
-        "frame": torch.zeros(1, FRAME_CELL_PX**2, 2 * _ROWS, 2 * _COLUMNS),
-        "levels": torch.zeros(1, BINS, _ROWS, _COLUMNS),
-    }
-    arrays = {
-        "levels_onnx": to_onnx(_AfterFirst(network), {"levels": of_level}, "found"),
-        "cells_onnx": to_onnx(_Trunk(network), of_cells, "cells"),
-        "trust": network.trust.detach().numpy(),
-    }
-    for name, layer in (("first", first), ("size", network.size), ("choice", network.choice)):
-        arrays[f"{name}_weights"] = layer.weight.detach().numpy()[:, :, 0, 0]
-        arrays[f"{name}_bias"] = layer.bias.detach().numpy()
-    return arrays
-
-
-def shipped_network(path: Path) -> Refinement:
-    """Network of a weights' file in the form in which it can be fitted further."""
-    arrays = read_weights(path, package)
-    weights: Arrays = {"trust": arrays["trust"]}
-    # Of the modules that were written, and where they are in the network.
-    for model, prefix, place in (
-        ("levels_onnx", "layers.", "every_level.layers."),
-        ("cells_onnx", "network.", ""),
-    ):
-        for name, value in onnx_weights(arrays[model]).items():
-            if name.startswith(prefix):
-                weights[place + name.removeprefix(prefix)] = value
-    layers = {"first": "every_level.layers.first", "size": "size", "choice": "choice"}
-    for name, layer in layers.items():
-        weights[f"{layer}.weight"] = arrays[f"{name}_weights"][:, :, None, None]
-        weights[f"{layer}.bias"] = arrays[f"{name}_bias"]
-    network = Refinement()
-    load_folded(network, weights)
-    return network
-
-
 def frame_errors(frame: Frame) -> Arrays:
     """What is found of every half-cell of a frame, and how wrong it is, px.
 
@@ -352,28 +206,3 @@ def frame_errors(frame: Frame) -> Arrays:
         "deviation": found.deviation_px(),
     }
     return {name: values[..., np.isfinite(truth)] for name, values in arrays.items()}
-
-
-class _AfterFirst(torch.nn.Module):
-    """What is done to every blur size, but for the first layer."""
-
-    def __init__(self, network: Refinement) -> None:
-        super().__init__()
-        self.layers = network.every_level.layers
-
-    def forward(self, first: torch.Tensor) -> torch.Tensor:
-        found: torch.Tensor = self.layers.after_first(first)
-        return found
-
-
-class _Trunk(torch.nn.Module):
-    """All but the last layer."""
-
-    def __init__(self, network: Refinement) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(
-        self, costs: torch.Tensor, frame: torch.Tensor, levels: torch.Tensor
-    ) -> torch.Tensor:
-        return self.network.trunk(costs, frame, levels)

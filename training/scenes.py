@@ -7,6 +7,7 @@ import numpy as np
 from measured import load_measured, measured_scene
 from shards import Arrays, Data, stack
 
+from coded_aperture_ros.calibration.fine_tuning.cells import BLUR_STEP
 from coded_aperture_ros.optics import Mask
 from coded_aperture_ros.simulation.layered import (
     FENCES,
@@ -20,7 +21,6 @@ FRAMES_PER_SHARD = 50
 FRAME_PX = 288
 # Frames and blur sizes are kept as whole numbers of these.
 LIGHT_STEP = 1 / 65535
-BLUR_STEP = 1 / 1500
 
 # How often each mask is drawn; the random ones share the last number.
 _MASKS = {

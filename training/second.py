@@ -9,16 +9,30 @@ from typing import Any
 import numpy as np
 import torch
 from coded_aperture_benchmarks.metrics.surfaces import BINS
-from costs import CELLS
-from loop import Problem, Schedule, check_enough, device_of, shuffled, turned
-from networks import fold, load_folded, onnx_weights, renormalise, round_weights, to_onnx
-from refinement_network import Around, convolution
+from states import check_enough
 from task import Options, Task
 from torch import nn
 from torch.nn import functional
 from weights_file import read_weights
 from windows import WINDOWS
 
+from coded_aperture_ros.calibration.fine_tuning.cells import CELLS
+from coded_aperture_ros.calibration.fine_tuning.loop import (
+    Problem,
+    Schedule,
+    device_of,
+    shuffled,
+    turned,
+)
+from coded_aperture_ros.calibration.fine_tuning.network import Around, convolution
+from coded_aperture_ros.calibration.fine_tuning.onnx_form import (
+    fold,
+    load_folded,
+    onnx_weights,
+    renormalise,
+    round_weights,
+    to_onnx,
+)
 from coded_aperture_ros.depth.decoders.network import second as package
 from coded_aperture_ros.depth.decoders.network.features import BLUR_STEP_PX
 

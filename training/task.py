@@ -10,7 +10,8 @@ from shards import Arrays
 
 if TYPE_CHECKING:  # PyTorch is loaded with the task that is chosen
     import torch
-    from loop import Problem
+
+    from coded_aperture_ros.calibration.fine_tuning.loop import Problem
 
 
 @dataclasses.dataclass(frozen=True)

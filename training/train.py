@@ -129,18 +129,21 @@ def make_data(plan: Plan, options: Options) -> None:
 def fit(plan: Plan, options: Options) -> None:
     """Fit the network, and keep what was reached every few minutes."""
     import torch
-    from loop import Fit, check_device
+    from states import averaged_weights, check_device
+
+    from coded_aperture_ros.calibration.fine_tuning.loop import Fit
 
     check_device(options.device)
     torch.set_num_threads(options.threads)
     torch.manual_seed(0)
     problem = plan.make_task().problem(options)
-    Fit(problem, options.state, options.start, options.device).run()
+    start = averaged_weights(options.start) if options.start else None
+    Fit(problem, options.state, start, options.device).run()
 
 
 def export(plan: Plan, options: Options) -> None:
     """Write the weights' file anew."""
-    from loop import averaged_weights
+    from states import averaged_weights
 
     task = plan.make_task()
     fitted = averaged_weights(options.state)

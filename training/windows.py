@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 from coded_aperture_benchmarks.metrics.surfaces import shares, surfaces
-from costs import COSTS, on_all_cells
+from costs import COSTS
 from scenes import SCENES, blur_px, frame_numbers, scene_plan
 from shards import Arrays, Data, stack
 
+from coded_aperture_ros.calibration.fine_tuning.cells import on_all_cells
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.features import COST_CHANNELS
 from coded_aperture_ros.depth.decoders.network.network import Network

@@ -11,6 +11,7 @@ import numpy as np
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.calibration.psf.nominal import SCENES, learn_nominal_bank
+from coded_aperture_ros.cli.bank_training import training_text, tuned_bank
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
@@ -60,6 +61,8 @@ _EXAMPLES = """examples:
   with textures from sharp pictures of the place where the camera works:
     coded_aperture learn --camera config/demo_camera.yaml --depth-range 0.63 1.53 \\
         --images pictures --gamma srgb -o bank.npz
+  with a refinement that is fitted further to measured PSFs for half an hour (needs PyTorch):
+    coded_aperture learn --psfs stack.npz --train 30 -o bank.npz
   from pictures of planes, without knowing the mask:
     coded_aperture learn --planes planes -o bank.npz
 
@@ -116,6 +119,16 @@ class Arguments(GammaArguments):
         written="--level-count N",
         minimum=2,
     )
+    train: float | None = argument(
+        "fit the refinement further to these PSFs so many minutes, 20 to 60 on a processor, and "
+        "keep it in the bank if it finds more; goes on from the folder beside the output",
+        None,
+        written="--train MINUTES",
+        above=0.0,
+    )
+    device: str = argument(
+        "of the training", "cpu", written="--device NAME", choices=("cpu", "cuda")
+    )
     output: str = argument("bank (.npz)", written="-o --output FILE", is_output=True)
     json: bool = argument("print a summary as JSON", False)
     filters: LearnConfig = group("filters", LearnConfig())
@@ -143,6 +156,8 @@ _RULES = (
     only_with("--depths", "--psfs"),
     excludes("--images", "--planes", note="they have textures"),
     only_with("--gamma", "--images", "--planes"),
+    excludes("--train", "--remap", note="train the bank that it is made from"),
+    only_with("--device", "--train"),
 )
 
 
@@ -155,6 +170,9 @@ def run(args: Arguments) -> int:
         bank = _remapped(args, args.remap, camera)
     else:
         bank = _learned(args, camera)
+    training: Summary = {}
+    if args.train is not None:
+        bank, training = tuned_bank(bank, args.train, args.device, args.output)
     save_bank(bank, args.output)
     summary = {
         "output": args.output,
@@ -168,6 +186,7 @@ def run(args: Arguments) -> int:
         "truncation_error": round(bank.truncation_error, 6),
         "learned_from": bank.learned_from,
         **_resolution(camera, bank),
+        **training,
         "seconds": round(time.perf_counter() - start, 3),
     }
     largest_px = float(np.abs(bank.blur_sizes_px).max())
@@ -187,6 +206,8 @@ def _text(summary: Summary) -> str:
         steps_m = [summary[f"resolution_{name}_m"] for name in ("near", "middle", "far")]
         near, middle, far = ["none" if step is None else f"{step:.2g} m" for step in steps_m]
         lines.append(f"  depth steps of 1 px of blur: {near} near, {middle} amid, {far} far")
+    if "training_steps" in summary:
+        lines.append(training_text(summary))
     return "\n".join(lines)
 
 

@@ -34,8 +34,8 @@ def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int)
     name : str
         Of the network in that file.
     runtime : str
-        One of `RUNTIMES`. `auto` is ONNX Runtime if it is installed; it runs the network quantised
-        to 8 bits.
+        One of `RUNTIMES`. `auto` is ONNX Runtime if it is installed; it runs networks that ship
+        quantised to 8 bits.
     threads : int
         Of ONNX Runtime.
 
@@ -45,7 +45,8 @@ def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int)
         If OpenCV cannot run the network.
     """
     if runtime == "onnxruntime" or (runtime == "auto" and find_spec("onnxruntime")):
-        return _quantised_network(arrays[f"{name}_int8"].tobytes(), threads)
+        model = arrays.get(f"{name}_int8", arrays[f"{name}_onnx"])
+        return _network_by_onnxruntime(model.tobytes(), threads)
     try:
         network = cv2.dnn.readNetFromONNX(arrays[f"{name}_onnx"])
     except cv2.error as error:
@@ -62,8 +63,8 @@ def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int)
     return run
 
 
-def _quantised_network(model: bytes, threads: int) -> Network:
-    """Network in whole numbers of 8 bits, run by ONNX Runtime."""
+def _network_by_onnxruntime(model: bytes, threads: int) -> Network:
+    """Network run by ONNX Runtime."""
     # New builds of ONNX Runtime report their use to its maker; a robot does not.
     os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
     import onnxruntime

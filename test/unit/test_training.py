@@ -14,6 +14,8 @@ from joblib.externals.loky import get_reusable_executor
 
 pytest.importorskip("numba", reason="random scenes need numba")
 
+FITTED = "coded_aperture_ros.calibration.fine_tuning"
+
 
 @pytest.fixture(scope="module")
 def training(checkout):
@@ -55,7 +57,8 @@ class Bomb:
 @pytest.mark.parametrize("kind", ["torch", "legacy", "pickle", "optimizer"])
 def test_a_state_runs_nothing(training, tmp_path, kind):
     torch = pytest.importorskip("torch", reason="states are read by torch")
-    loop = importlib.import_module("loop")
+    states = importlib.import_module("states")
+    loop = importlib.import_module(f"{FITTED}.loop")
     marker, path = tmp_path / "has_run", tmp_path / "state.pt"
     weights = {"weight": torch.zeros(1, 1), "bias": torch.zeros(1)}
     state = {"network": weights, "average": weights, "optimizer": {}, "spent": 0.0, "step": 1}
@@ -66,7 +69,7 @@ def test_a_state_runs_nothing(training, tmp_path, kind):
         torch.save(state, path, _use_new_zipfile_serialization=kind != "legacy")
     schedule = loop.Schedule(minutes=1.0, rate=0.1, warm_steps=1, decay=0.0)
     problem = loop.Problem(torch.nn.Linear(1, 1), schedule, lambda step: iter(()), None, None)
-    for read in (lambda: loop.averaged_weights(path), lambda: loop.Fit(problem, path)):
+    for read in (lambda: states.averaged_weights(path), lambda: loop.Fit(problem, path)):
         with pytest.raises(pickle.UnpicklingError):
             read()
     assert not marker.exists()
@@ -317,9 +320,10 @@ def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_
     from coded_aperture_ros.core.archive import read_archive
     from coded_aperture_ros.depth.decoders.network.network import SCHEMA, SCHEMA_VERSION
 
-    refinement, networks = (importlib.import_module(name) for name in ("refinement", "networks"))
+    names = ("weights", "onnx_form")
+    weights, networks = (importlib.import_module(f"{FITTED}.{name}") for name in names)
     path = checkout / "coded_aperture_ros/depth/decoders/network/refinement.npz"
-    network = refinement.shipped_network(path).eval()
+    network = weights.network_of_arrays(read_archive(path, SCHEMA, SCHEMA_VERSION)).eval()
     random = torch.Generator().manual_seed(0)
     inputs = network.stem[0].in_channels - len(network.every_level.sizes), network.frame[0][0]
     costs = torch.rand(2, inputs[0], 8, 8, generator=random)
@@ -342,7 +346,7 @@ def test_the_network_that_ships_can_be_fitted_further(torch, checkout, run, tmp_
     assert set(old) == set(new) | added_later and not added_later & set(new)
     for name in ("first_weights", "size_bias", "choice_weights", "trust"):
         np.testing.assert_allclose(new[name], old[name], rtol=1e-3, atol=1e-6)
-    again = refinement.shipped_network(exported).eval()
+    again = weights.network_of_arrays(new).eval()
     with torch.no_grad():
         for one, other in zip(again(costs, frame), before, strict=True):
             torch.testing.assert_close(one, other, atol=0.02, rtol=0.02)
@@ -354,7 +358,8 @@ def refinement(training, torch, monkeypatch):
     module = importlib.import_module("refinement")
     monkeypatch.setattr(training["scenes"], "FRAMES_PER_SHARD", 1)
     monkeypatch.setattr(training["scenes"], "FRAME_PX", 96)
-    monkeypatch.setattr(module, "_BATCH", 1)
+    for place in (module, importlib.import_module(f"{FITTED}.frames")):
+        monkeypatch.setattr(place, "BATCH", 1)
     monkeypatch.setattr(module, "_RENORMALISED_BATCHES", 1)
     return module
 
@@ -381,8 +386,7 @@ def test_the_refinement_is_fitted_further_on_a_device(
 
 
 def test_the_refinement_s_losses_are_where_its_batches_are(training, torch, refinement):
-    loop = importlib.import_module("loop")
-    losses = importlib.import_module("refinement_loss")
+    loop, losses = (importlib.import_module(f"{FITTED}.{name}") for name in ("loop", "loss"))
     cells, bins = 4, losses.BINS
     costs = torch.rand(2, 6 * bins + 4, cells, cells)
     frame = torch.rand(2, 16, 2 * cells, 2 * cells)
@@ -409,7 +413,7 @@ def test_the_refinement_s_losses_are_where_its_batches_are(training, torch, refi
     ids=["tensor", "tuple", "list", "dict", "nested"],
 )
 def test_tensors_move_with_what_holds_them(training, torch, values, tensors):
-    loop = importlib.import_module("loop")
+    loop = importlib.import_module(f"{FITTED}.loop")
     given = values(torch.zeros(2))
     moved = loop.on_device(given, "meta")
     assert type(moved) is type(given)

@@ -94,18 +94,25 @@ def measured_reliability(bank: FilterBank, progress: Progress = iter) -> tuple[f
     sparse = np.s_[::_SPARSE, ::_SPARSE]
     terms, right = [], []
     for seed in progress(range(SCENES)):
-        for frame, level in _frames(plain, seed):
+        for frame, level in simulated_frames(plain, seed):
             estimate = estimator.estimate(frame)
             confidence = estimate.confidence[sparse]
             known = confidence > 0
             terms.append(reliability_terms(confidence[known], estimate.noise))
-            right.append(_is_right(bank.stack, estimate.level[sparse], level[sparse])[known])
+            right.append(is_right(bank.stack, estimate.level[sparse], level[sparse])[known])
     estimator.close()
     return _logistic_fit(np.concatenate(terms, axis=1), np.concatenate(right))
 
 
-def _frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield frames of a scene through a bank's PSFs, and the fractional level of each pixel."""
+def simulated_frames(bank: FilterBank, seed: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield frames of a scene through a bank's PSFs, and the fractional level of each pixel.
+
+    Parameters
+    ----------
+    bank : FilterBank
+    seed : int
+        From 0 on; the scenes of banks without sizes are the first `SCENES`.
+    """
     stack = bank.stack
     order = np.argsort(stack.blur_sizes_px if stack.depths_m is None else stack.depths_m)
     psfs = stack.psfs[None] if stack.channel_psfs is None else stack.channel_psfs
@@ -179,8 +186,8 @@ def coded_frame(light: FloatArray, rank: FloatArray, psfs: FloatArray) -> FloatA
     return np.asarray(frame / np.maximum(covered, np.float32(1e-3)))
 
 
-def _is_right(stack: PsfStack, level: FloatArray, truth: FloatArray) -> BoolArray:
-    """Where levels are right, to one level or 5 % of the depth."""
+def is_right(stack: PsfStack, level: FloatArray, truth: FloatArray) -> BoolArray:
+    """Where levels are right, to one level or, where depths are known, 5 % of the depth."""
     depth_m = stack.interpolate_depth(level)
     true_m = stack.interpolate_depth(truth)
     if depth_m is None or true_m is None:

@@ -70,8 +70,9 @@ def make(plan: Plan, config: Config) -> Stage:
     """Stage of the decoder that was chosen: the network, or a regulariser."""
     if plan.decoder.learned:
         assert plan.small is not None
+        own = getattr(plan.model, "refinement", None)
         network = NetworkDecoder(
-            plan.levels, plan.small.grid, plan.sides, plan.workers, config.network
+            plan.levels, plan.small.grid, plan.sides, plan.workers, config.network, own
         )
         return Decode(network)
     regularize = plan.regularize or regularizer(config.classical, config.smoothness)

@@ -46,8 +46,10 @@ class Config:
 
 def make(plan: Plan, config: Config) -> Stage:
     """Stage of a second surface."""
-    # What is more blurred may lie before or behind: with levels on both sides none is found.
-    if not plan.decoder.learned or plan.sides is not None:
+    # What is more blurred may lie before or behind: with levels on both sides none is found. Nor is
+    # it where another refinement than the one that this network knows decides.
+    own = getattr(plan.model, "refinement", None)
+    if not plan.decoder.learned or plan.sides is not None or own is not None:
         return FindSecondSurface(plan.levels, None)
     return FindSecondSurface(plan.levels, SecondSurface(tried_sizes(plan.levels.blur_sizes_px)))
 

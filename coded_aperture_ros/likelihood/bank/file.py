@@ -48,6 +48,8 @@ PATTERN: dict[str, Callable[[Any], Any]] = {
     "image_width": int,
 }
 FIELD = ("coefficients", "log_determinants")
+# Of the names of the weights of a bank's own refinement.
+REFINEMENT = "refinement_"
 FRAMES = ("image_width", "image_height", "camera_matrix")
 PRIOR = ("slopes", "contrasts", "model_error")
 
@@ -81,6 +83,12 @@ def load_bank(path: str | os.PathLike[str]) -> FilterBank:
             prior=_prior(arrays),
             pattern=_pattern(arrays),
             field=_field(arrays),
+            refinement={
+                name.removeprefix(REFINEMENT): values
+                for name, values in arrays.items()
+                if name.startswith(REFINEMENT)
+            }
+            or None,
             **{name: read(arrays[name]) for name, read in STORED.items()},
             **{name: read(arrays.get(name, old)) for name, (read, old) in NEWER.items()},
         )

@@ -1,10 +1,12 @@
 """Filter bank: energies of every blur level for every patch of a frame."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, PerPatch
 from coded_aperture_ros.core.errors import InputError
@@ -96,6 +98,8 @@ class FilterBank:
         Mask and thin lens as found from planes, for banks of another focus.
     field : FieldFilters or None
         Filters of the parts of the image, for lenses whose PSF changes over it.
+    refinement : mapping of str to ndarray, or None
+        Weights of a refinement that was fitted further to this bank's PSFs.
 
     References
     ----------
@@ -134,6 +138,7 @@ class FilterBank:
     guard_levels: int = 0
     pattern: LearnedPattern | None = None
     field: FieldFilters | None = None
+    refinement: Mapping[str, NDArray[Any]] | None = None
 
     @property
     def blur_sizes_px(self) -> DoubleArray:

@@ -10,6 +10,7 @@ from coded_aperture_ros.likelihood.bank.file import (
     NEWER,
     PATTERN,
     PRIOR,
+    REFINEMENT,
     SCHEMA,
     STORED,
     VERSION,
@@ -49,6 +50,8 @@ def save_bank(bank: FilterBank, path: str | os.PathLike[str]) -> None:
         arrays["depths_m"] = bank.stack.depths_m
     if isinstance(bank.prior, EmpiricalPrior):
         arrays["prior_deviations"] = bank.prior.deviations
+    if bank.refinement is not None:
+        arrays |= {f"{REFINEMENT}{name}": values for name, values in bank.refinement.items()}
     if bank.pattern is not None:
         arrays |= {f"pattern_{name}": getattr(bank.pattern, name) for name in PATTERN}
         arrays["pattern_mask"] = bank.pattern.mask.transmission

@@ -1,6 +1,8 @@
 """Decoder of levels by a small network, trained on simulated cost volumes with depth edges."""
 
 import dataclasses
+from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
@@ -136,6 +138,8 @@ class NetworkDecoder:
         Threads that share the work.
     runtime : str
         What runs the network; see `network_of`.
+    own : mapping, optional
+        Arrays of its weights, if a bank has its own.
     """
 
     def __init__(
@@ -145,6 +149,7 @@ class NetworkDecoder:
         sides: FocalSides | None = None,
         workers: Workers | None = None,
         runtime: str = "auto",
+        own: Mapping[str, Any] | None = None,
     ) -> None:
         self._workers = workers or Workers()
         self._small = small
@@ -153,23 +158,16 @@ class NetworkDecoder:
         self._folding = Folding.from_sizes(levels.blur_sizes_px)
         self.tried = tried_sizes(self._folding.sizes_px)
         self._tried_px = BLUR_SIZES_PX[self.tried].astype(np.float32)
-        self._network = Network(self.tried, self._workers, runtime)
+        self._network = Network(self.tried, self._workers, runtime, own)
 
     def __call__(
         self, observation: Observation, volume: FloatArray, frame_cost: Cost, size: Shape
     ) -> NetworkDecoded:
-        """Decide the level of every pixel; see `ClassicalDecoder`.
-
-        Raises
-        ------
-        ValueError
-            If the cost of the small patches is missing.
-        """
-        if frame_cost.small is None:
-            raise ValueError("the cost of the small patches is missing")
+        """Decide the level of every pixel; see `ClassicalDecoder` and `inputs`."""
         volume = _limit_past(volume, frame_cost)
         cells = Cells.covering(observation.grey.shape, observation.grid)
-        features, logits = self._run(observation, volume, frame_cost, frame_cost.small, cells)
+        features, frame = self.inputs(observation, volume, frame_cost, cells)
+        logits = self._network(features, frame)
         half_cells = HalfCells.from_logits(logits, self._tried_px, self._workers)
         far = self._far_probability(half_cells.size_px, volume, cells)
         level, confidence, side_confidence, checked = self._rate(half_cells, far)
@@ -202,23 +200,26 @@ class NetworkDecoder:
             blind=at.nearest_patch_values(~observation.usable & flat),
         )
 
-    def _run(
-        self,
-        observation: Observation,
-        volume: FloatArray,
-        frame_cost: Cost,
-        small_cost: Cost,
-        cells: Cells,
-    ) -> tuple[FloatArray, Logits]:
-        """Features of all cells, and the network's output for them."""
+    def inputs(
+        self, observation: Observation, volume: FloatArray, frame_cost: Cost, cells: Cells
+    ) -> tuple[FloatArray, FloatArray]:
+        """What the network is given of a frame: `cost_features` and `frame_features`.
+
+        Raises
+        ------
+        ValueError
+            If the cost of the small patches is missing.
+        """
+        if frame_cost.small is None:
+            raise ValueError("the cost of the small patches is missing")
         scales = (
             PatchScale.from_cost(frame_cost, observation.grid, self._folding.fold_volume(volume)),
-            PatchScale.from_cost(small_cost, self._small),
+            PatchScale.from_cost(frame_cost.small, self._small),
         )
         context = LocalContext.from_frame(observation.grey, observation.noise.typical)
         sizes_px = self._folding.sizes_px
         features = cost_features(scales, context, cells, sizes_px, self._near_share, self._workers)
-        return features, self._network(features, frame_features(context, cells))
+        return features, frame_features(context, cells)
 
     def _rate(
         self, half_cells: HalfCells, far: FloatArray

@@ -131,10 +131,18 @@ class Network:
         Threads that share the work.
     runtime : str
         See `network_of`.
+    own : mapping, optional
+        Arrays of a weights' file in place of the one that ships.
     """
 
-    def __init__(self, tried: BoolArray, workers: Workers, runtime: str = "auto") -> None:
-        arrays = read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+    def __init__(
+        self,
+        tried: BoolArray,
+        workers: Workers,
+        runtime: str = "auto",
+        own: Mapping[str, Any] | None = None,
+    ) -> None:
+        arrays: Mapping[str, Any] = own or read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
         self._workers = workers
         self.level_network, self.cell_network = (
             network_of(arrays, name, runtime, workers.threads) for name in ("levels", "cells")
@@ -194,7 +202,7 @@ class _FirstLayer:
     added: FloatArray  # [tried, out, 1]; what is added to every blur size
 
     @classmethod
-    def from_weights(cls, arrays: dict[str, FloatArray], tried: slice) -> "_FirstLayer":
+    def from_weights(cls, arrays: Mapping[str, Any], tried: slice) -> "_FirstLayer":
         """Layer of the tried blur sizes, from the arrays of a weights' file."""
         weights, count = arrays["first_weights"], len(BLUR_SIZES_PX)
         weights, scalars, size = np.split(weights, -4 * np.array([SCALARS + 1, 1]), axis=1)

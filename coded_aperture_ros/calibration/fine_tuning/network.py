@@ -73,6 +73,7 @@ class Around(nn.Module):
             nn.init.zeros_(self.mix.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Output of these layers."""
         found: torch.Tensor = self.mix(torch.relu(self.norm(self.spatial(self.reduce(x)))))
         return x + found
 
@@ -92,6 +93,7 @@ class LevelLayers(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Output of these layers."""
         return functional.pixel_shuffle(
             self.after_first(self.first(functional.pixel_unshuffle(x, 2))), 2
         )
@@ -117,6 +119,7 @@ class CellLayers(nn.Module):
         nn.init.zeros_(self.out.bias)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Output of these layers."""
         fine = self.first(x)
         found: torch.Tensor = self.out(
             self.join(torch.cat([fine, self.up(self.wide(self.down(fine)))], 1))
@@ -139,6 +142,7 @@ class EveryLevel(nn.Module):
         self.register_buffer("sizes", torch.from_numpy(BLUR_SIZES_PX).float() / 10)
 
     def forward(self, costs: torch.Tensor) -> torch.Tensor:
+        """What is found of every blur size."""
         if isinstance(self.layers, LevelLayers):
             return self._in_squares(self.layers, costs)
         batch, _, rows, columns = costs.shape
@@ -228,6 +232,7 @@ class Refinement(nn.Module):
     def forward(
         self, costs: torch.Tensor, frame: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Logits of blur sizes with the width, and of the choice among half-cells."""
         levels = self.every_level(costs)
         cell = self.trunk(costs, frame, levels[:, 4])
         size = functional.pixel_shuffle(self.size(cell), 2)

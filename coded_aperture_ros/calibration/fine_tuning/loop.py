@@ -20,6 +20,10 @@ Item = Any
 Batch = Any
 
 
+def _print(line: str) -> None:
+    print(line, flush=True)  # noqa: T201
+
+
 @dataclasses.dataclass(frozen=True)
 class Schedule:
     """How a network is fitted.
@@ -76,6 +80,8 @@ class Problem:
         printed.
     score : callable
         From a network, wherever it is, to what is printed of the data held back.
+    say : callable
+        Prints a line.
     """
 
     network: torch.nn.Module
@@ -83,6 +89,7 @@ class Problem:
     batches: Callable[[int], Iterator[Batch]]
     loss: Callable[[torch.nn.Module, Batch], tuple[torch.Tensor, dict[str, torch.Tensor]]]
     score: Callable[[torch.nn.Module], dict[str, Any]]
+    say: Callable[[str], None] = _print
 
 
 class Fit:
@@ -93,14 +100,18 @@ class Fit:
     problem : Problem
     path : Path
         File of what was reached. If it is there, fitting goes on from it.
-    start : Path or None
-        Such a file of another fit, whose weights are started from.
+    start : dict of str to Tensor, optional
+        Weights of another fit that are started from.
     device : str
         What computes, as PyTorch names it. Files of what was reached fit every device.
     """
 
     def __init__(
-        self, problem: Problem, path: Path, start: Path | None = None, device: str = "cpu"
+        self,
+        problem: Problem,
+        path: Path,
+        start: dict[str, torch.Tensor] | None = None,
+        device: str = "cpu",
     ) -> None:
         self._problem = problem
         self._path = path
@@ -115,10 +126,21 @@ class Fit:
         )
         path.parent.mkdir(parents=True, exist_ok=True)
         if start:
-            self._network.load_state_dict(averaged_weights(start))
+            self._network.load_state_dict(start)
             self._average.load_state_dict(self._network.state_dict())
         if path.exists():
             self._resume(torch.load(path, weights_only=True))
+
+    @property
+    def steps(self) -> int:
+        """Steps so far."""
+        return self._step
+
+    @property
+    def averaged_weights(self) -> dict[str, torch.Tensor]:
+        """What is used, on the processor."""
+        weights: dict[str, torch.Tensor] = on_device(self._average.state_dict(), "cpu")
+        return dict(weights)
 
     def run(self) -> None:
         """Fit until the time is spent; print what is lost, and save, every few minutes."""
@@ -142,7 +164,7 @@ class Fit:
             now = time.perf_counter()
             if now - reported > _REPORT_S:
                 means = " ".join(f"{name} {value / count:.4f}" for name, value in sums.items())
-                print(f"{self._spent_s / 60:.1f} min, step {self._step}: {means}", flush=True)
+                problem.say(f"{self._spent_s / 60:.1f} min, step {self._step}: {means}")
                 sums, count, reported = {}, 0, now
             if now - saved > _SAVE_S:
                 self._save()
@@ -184,16 +206,7 @@ class Fit:
         part = self._path.with_suffix(".part")
         torch.save(on_device(state, "cpu"), part)
         part.rename(self._path)
-        print("held back:", json.dumps(self._problem.score(self._average.eval())), flush=True)
-
-
-def check_device(name: str) -> None:
-    """End the program if PyTorch finds no such device here."""
-    try:
-        torch.zeros(1, device=name)
-    except (RuntimeError, AssertionError) as error:
-        reason = str(error).splitlines()[0]
-        raise SystemExit(f"--device {name}: PyTorch finds none here: {reason}") from None
+        self._problem.say(f"held back: {json.dumps(self._problem.score(self._average.eval()))}")
 
 
 def on_device(values: Any, device: str | torch.device) -> Any:
@@ -214,30 +227,6 @@ def on_device(values: Any, device: str | torch.device) -> Any:
 def device_of(network: torch.nn.Module) -> torch.device:
     """Device of a network's weights."""
     return next(network.parameters()).device
-
-
-def averaged_weights(path: Path) -> dict[str, torch.Tensor]:
-    """Average of the weights in the file of a fit."""
-    if not path.exists():
-        raise SystemExit(f"{path}: no such file: run the step 'fit' before")
-    weights: dict[str, torch.Tensor] = torch.load(path, weights_only=True)["average"]
-    return weights
-
-
-def check_enough(
-    learned: Sequence[Item], held_back: Sequence[Item], least: int, least_held_back: int
-) -> None:
-    """Print how many items there are; end the program if they are too few."""
-    for use, items, needed, option in (
-        ("learn from", learned, least, "--shards"),
-        ("hold back", held_back, least_held_back, "--held-back"),
-    ):
-        if len(items) < needed:
-            raise SystemExit(
-                f"{len(items)} items to {use}, at least {needed} are needed: make more data, "
-                f"or name other shards with {option}"
-            )
-    print(f"{len(learned)} items to learn from, {len(held_back)} held back", flush=True)
 
 
 def shuffled(items: Sequence[Item], size: int, random: np.random.Generator) -> Iterator[list[Item]]:

@@ -3,9 +3,9 @@
 import dataclasses
 
 import torch
-from refinement_network import BINS, NEIGHBOURS
 from torch.nn import functional
 
+from coded_aperture_ros.calibration.fine_tuning.network import BINS, NEIGHBOURS
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     BLUR_STEP_PX,
