@@ -45,8 +45,8 @@ def network_of(arrays: Mapping[str, Any], name: str, runtime: str, threads: int)
         If OpenCV cannot run the network.
     """
     if runtime == "onnxruntime" or (runtime == "auto" and find_spec("onnxruntime")):
-        model = arrays.get(f"{name}_int8", arrays[f"{name}_onnx"])
-        return _network_by_onnxruntime(model.tobytes(), threads)
+        form = "int8" if f"{name}_int8" in arrays else "onnx"
+        return _network_by_onnxruntime(arrays[f"{name}_{form}"].tobytes(), threads)
     try:
         network = cv2.dnn.readNetFromONNX(arrays[f"{name}_onnx"])
     except cv2.error as error:
