@@ -99,7 +99,7 @@ def test_what_is_installed_decides_unless_one_is_named(monkeypatch):
     )
     asked = []
     monkeypatch.setattr(
-        networks, "_quantised_network", lambda model, threads: asked.append(threads)
+        networks, "_network_by_onnxruntime", lambda model, threads: asked.append(threads)
     )
     for installed in (None, object()):
         monkeypatch.setattr(networks, "find_spec", lambda name, found=installed: found)
