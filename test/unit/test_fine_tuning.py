@@ -130,7 +130,7 @@ def test_training_goes_on_where_it_was_stopped_and_for_its_psfs_only(small, tmp_
     reports = [json.loads(one.out) for one in (first, second)]
     for name in ("training_frames", "training_steps"):
         assert 0 < reports[0][name] < reports[1][name]
-    assert other.status == 1 and "for other PSFs: remove it" in other.err
+    assert other.status == 1 and "for another bank: remove it" in other.err
     kept = load_bank(output).refinement is not None
     assert kept == reports[1]["refinement_kept"]
 
@@ -160,3 +160,18 @@ def test_a_bank_that_the_refinement_does_not_know_is_refused(small, bank, tmp_pa
     with pytest.raises(Exception, match="cannot be fitted to this bank: its levels are"):
         part("tune").tune_refinement(coarse, 1, tmp_path / "training")
     assert not (tmp_path / "training").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", ["bank.npz", "frame_0_0.npz", "fit.pt"])
+def test_what_is_damaged_is_named(small, tmp_path, capsys, name):
+    output = tmp_path / "bank.npz"
+    words = ["learn", "--mask", "levin", "--blur-sizes", 3, 9, 13, "-o", output, "--train"]
+    assert call(capsys, *words, 0.2).status == 0
+    damaged = tmp_path / "bank.training" / name
+    assert damaged.exists()
+    damaged.write_bytes(damaged.read_bytes()[:100])
+    result = call(capsys, *words, 0.4)
+    assert result.status == 1
+    assert str(damaged) in result.err.splitlines()[-1] and "Traceback" not in result.err

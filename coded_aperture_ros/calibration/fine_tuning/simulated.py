@@ -2,6 +2,7 @@
 
 import itertools
 import multiprocessing
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
@@ -14,8 +15,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.calibration.fine_tuning.cells import BLUR_STEP, CELLS, padded
 from coded_aperture_ros.calibration.fine_tuning.frames import Frame
 from coded_aperture_ros.calibration.psf.nominal import simulated_frames
+from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
@@ -26,6 +27,8 @@ from coded_aperture_ros.likelihood.bank import FilterBank
 # Number of the first scene: no other use has these.
 _FIRST_SCENE = 100_000
 _SAID_S = 30.0
+_SCHEMA = "coded-aperture training"
+_VERSION = 1
 
 
 def claim(folder: Path, bank: FilterBank) -> None:
@@ -36,15 +39,19 @@ def claim(folder: Path, bank: FilterBank) -> None:
     InputError
         If it is of another one.
     """
-    path = folder / "psfs.npy"
-    psfs = bank.stack.psfs if bank.stack.channel_psfs is None else bank.stack.channel_psfs
+    path = folder / "bank.npz"
+    stack = bank.stack
+    settings: dict[str, NDArray[Any]] = {
+        "psfs": stack.psfs if stack.channel_psfs is None else stack.channel_psfs,
+        "sizes_px": stack.blur_sizes_px,
+        "filters": np.array([bank.window_px, bank.stride_px, bank.highest_frequency, bank.noise]),
+    }
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
-        with atomic_output(path) as part, part.open("wb") as file:
-            np.save(file, psfs)
-        return
-    if not np.array_equal(np.load(path), psfs):
-        raise InputError(f"{folder}: of a training for other PSFs: remove it to begin anew")
+        write_archive(path, _SCHEMA, _VERSION, settings)
+    found = read_archive(path, _SCHEMA, _VERSION)
+    if not all(np.array_equal(found.get(name, ()), each) for name, each in settings.items()):
+        raise InputError(f"{folder}: of a training for another bank: remove it to begin anew")
 
 
 def made_frames(
@@ -65,9 +72,9 @@ def made_frames(
     paths = sorted(folder.glob("frame_*.npz"))
     spent_s = 0.0
     for path in paths:
-        with np.load(path) as arrays:
-            spent_s += float(arrays["seconds"])
-            yield _frame_of(arrays)
+        arrays = read_archive(path, _SCHEMA, _VERSION)
+        spent_s += float(arrays["seconds"])
+        yield _frame_of(arrays)
     if spent_s >= seconds:
         return
     first = 1 + max((int(path.stem.split("_")[1]) for path in paths), default=-1)
@@ -76,9 +83,7 @@ def made_frames(
     for made, (scene, index, arrays) in enumerate(_new_frames(bank, first), 1):
         now = time.perf_counter()
         arrays["seconds"], last = np.array(now - last), now
-        path = folder / f"frame_{scene}_{index}.npz"
-        with atomic_output(path) as part, part.open("wb") as file:
-            np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+        write_archive(folder / f"frame_{scene}_{index}.npz", _SCHEMA, _VERSION, arrays)
         yield _frame_of(arrays)
         if now - said > _SAID_S:
             spent = spent_s + now - began
@@ -118,6 +123,9 @@ _ESTIMATORS: list[DepthEstimator] = []
 
 def _set_up(bank: FilterBank) -> None:
     """Prepare a process for the frames of a bank."""
+    if multiprocessing.parent_process() is not None:
+        # A terminal sends Ctrl-C to all processes: the program answers it for them.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     config = DepthConfig(confidence_threshold=0.0, check_fit=False, threads=1)
     _ESTIMATORS[:] = [DepthEstimator(bank, config)]
 

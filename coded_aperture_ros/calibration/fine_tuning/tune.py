@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+import pickle
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -163,7 +164,10 @@ def _fit(
         lambda average: score(average, held_back),
         say,
     )
-    fit = Fit(problem, state, device=device)
+    try:
+        fit = Fit(problem, state, device=device)
+    except (RuntimeError, KeyError, pickle.UnpicklingError) as error:
+        raise InputError(f"{state}: no state of a training: remove it to begin anew") from error
     fit.run()
     return fit
 
