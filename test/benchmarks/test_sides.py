@@ -306,7 +306,8 @@ def test_the_benchmark_tells_masks_apart(capsys):
     result = call_benchmarks(capsys, *arguments, "--jobs", 1, "--json")
     assert result.status == 0
     zhou, disc = json.loads(result.out)["cells"]
-    assert zhou["right"] > 0.9 and zhou["confident_right"] > 0.95
+    # Confident is what has depth: from a confidence of 0.45 on, by default.
+    assert zhou["right"] > 0.9 and zhou["confident_right"] > 0.93
     assert zhou["level_error"] < 1.5 * zhou["told_level_error"] + 0.5
     assert disc["confident"] == 0 and disc["confident_right"] is None
     assert "oracle" in call_benchmarks(capsys, *arguments[:-3], 2, "--levels", 9, "--jobs", 1).out

@@ -73,7 +73,10 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     shutil.copy("coded.png", "frames/first.png")
 
     learn = examples(capsys, "learn")
-    assert len(learn) == 6
+    assert len(learn) == 7
+    (trained,) = (line for line in learn if "--train" in line)  # half an hour, and PyTorch
+    assert parsed(*trained).train == 30
+    learn.remove(trained)
     for arguments in reversed(learn):  # the first one's bank fits the simulated camera
         type_in(arguments)
 

@@ -83,6 +83,7 @@ def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
         "matplotlib",
         "rosbags",
         "torch",
+        "onnx",
         "distributed",
         "argcomplete",
         "onnxruntime",

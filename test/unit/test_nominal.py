@@ -271,7 +271,7 @@ def test_the_confidence_is_what_was_right_on_other_scenes(channels, monkeypatch)
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0, check_fit=False))
     confidences, right = [], []
     for seed in range(12):
-        for frame, level in nominal._frames(bank, seed):
+        for frame, level in nominal.simulated_frames(bank, seed):
             estimate = estimator.estimate(frame)
             confidences.append(estimate.confidence)
             right.append(np.abs(estimate.level - level) <= 1)
