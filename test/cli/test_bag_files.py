@@ -451,9 +451,10 @@ def test_a_failure_of_a_worker_comes_out(processes):
 
 
 ENDS_AMID_TASKS = """
-import os
+import os, time
 from coded_aperture_ros.bags.engine import in_order
-for item, _ in in_order(abs, zip(range(9), range(9)), processes=2, window=4):
+# Every worker gets a task: with its first one it begins to watch its program.
+for item, _ in in_order(time.sleep, zip(range(9), 9 * [0.5]), processes=2, window=4):
     if item == 5:
         os._exit(3)
 """
