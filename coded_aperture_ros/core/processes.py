@@ -1,7 +1,9 @@
 """Work shared by processes, for items that take long."""
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -41,7 +43,7 @@ def map_in_processes(
         return [work(item) for item in progress(items, len(items), unit)]
     # A forked process would inherit the locks of libraries' threads, but not the threads.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, initializer=_use_one_thread) as pool:
+    with ProcessPoolExecutor(jobs, context, initializer=_set_up) as pool:
         try:
             with _interrupts_wait():
                 futures = [pool.submit(work, item) for item in items]
@@ -73,8 +75,22 @@ def _interrupts_wait() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _use_one_thread() -> None:
+def end_with_program() -> None:
+    """Let this process of a pool end when its program has ended, even if that was killed."""
+    program = multiprocessing.parent_process()
+    if program is None:  # it is the program itself
+        return
+
+    def wait() -> None:
+        program.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _set_up() -> None:
     """Let OpenCV use one thread; BLAS has read its environment, set by `coded_aperture`."""
     import cv2
 
+    end_with_program()
     cv2.setNumThreads(1)

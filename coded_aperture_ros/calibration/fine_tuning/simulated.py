@@ -6,6 +6,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from coded_aperture_ros.calibration.fine_tuning.frames import Frame
 from coded_aperture_ros.calibration.psf.nominal import simulated_frames
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.processes import end_with_program
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
@@ -113,6 +115,10 @@ def _new_frames(bank: FilterBank, first: int) -> Iterator[tuple[int, int, dict[s
                     scene, found = one.result()
                     for index, arrays in enumerate(found):
                         yield scene, index, arrays
+        except BrokenProcessPool as error:
+            raise InputError(
+                "--train: a process that simulates frames died, perhaps for lack of memory"
+            ) from error
         finally:
             pool.shutdown(cancel_futures=True)
 
@@ -123,6 +129,7 @@ _ESTIMATORS: list[DepthEstimator] = []
 
 def _set_up(bank: FilterBank) -> None:
     """Prepare a process for the frames of a bank."""
+    end_with_program()
     if multiprocessing.parent_process() is not None:
         # A terminal sends Ctrl-C to all processes: the program answers it for them.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
