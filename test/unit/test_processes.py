@@ -28,5 +28,5 @@ def test_a_process_of_a_killed_program_ends(tmp_path, set_up):
     worker = int(program.stdout.readline())
     assert Path(f"/proc/{worker}").exists()
     program.kill()
-    program.wait()
+    program.communicate()
     assert wait_until(lambda: not Path(f"/proc/{worker}").exists())
