@@ -6,55 +6,17 @@ from functools import partial
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
-from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE, take_logarithm
+from coded_aperture_ros.likelihood.sliding import SlidingTransform
 
 # Rows of pixels that are transformed at a time, and patches whose hypotheses are compared: few
 # large calls, but no more than a core's cache holds.
 _PIXEL_ROWS = 24
 _PATCHES = 128
-
-
-def _by_loop(parts: FloatArray, paired: int, counts: IndexArray, products: FloatArray) -> None:
-    half = parts.shape[1] // 2
-    at = 0
-    for v in range(paired):
-        for i in range(counts[v]):
-            cc, cs = parts[v, i], parts[v, half + i]
-            sc, ss = parts[paired + v, i], parts[paired + v, half + i]
-            products[at + i] = cc * cc + cs * cs + sc * sc + ss * ss
-        at += counts[v]
-    for v in range(paired):
-        for i in range(counts[paired + v]):
-            cc, cs = parts[v, i], parts[v, half + i]
-            sc, ss = parts[paired + v, i], parts[paired + v, half + i]
-            products[at + i] = cc * ss - cs * sc
-        at += counts[paired + v]
-    for v in range(2 * paired, len(parts)):
-        for i in range(counts[v]):
-            cc, cs = parts[v, i], parts[v, half + i]
-            products[at + i] = cc * cc + cs * cs
-        at += counts[v]
-
-
-def _by_arrays(parts: FloatArray, paired: int, counts: IndexArray, products: FloatArray) -> None:
-    half = parts.shape[1] // 2
-    cosines, sines = parts[:paired], parts[paired : 2 * paired]
-    crossed = cosines[:, :half] * sines[:, half:]
-    crossed -= cosines[:, half:] * sines[:, :half]
-    power = parts * parts
-    power = power[:, :half] + power[:, half:]
-    power[:paired] += power[paired : 2 * paired]
-    power[paired : 2 * paired] = crossed
-    np.compress((np.arange(half) < counts[:, None]).ravel(), power, out=products)
-
-
-# Products of the transforms, see `plan`: from the cosine and sine parts of the sums over y, those
-# of the sums over x side by side, `parts` [2 V + U, 2 n], to q and x of 1 to V cycles and the power
-# of those without a sine. Of each the first `counts` [2 V + U] are written one after the other.
-products_of_transforms = Compiled(_by_loop, _by_arrays)
+# Patches that are projected at a time.
+_PROJECTED = 512
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -62,9 +24,6 @@ class _Scratch:
     """Buffers of one thread."""
 
     windows: FloatArray
-    parts: FloatArray
-    power: FloatArray
-    functions: FloatArray
     patches: FloatArray
     hypotheses: FloatArray
     energies: FloatArray
@@ -93,24 +52,22 @@ class NumpyEngine:
         self.plan = plan
         self.grid = grid
         self._workers = Workers(threads)
-        width = len(plan.horizontal) * grid.columns  # both parts of all frequencies and columns
-        self._horizontal = np.empty((plan.pixel_rows, width), np.float32)
+        self._sliding = SlidingTransform(plan)
+        # Cosine and sine of each frequency beside each other, as `SlidingTransform` has them.
+        pairs = np.reshape(plan.horizontal, (2, -1, n))
+        self._pairs = np.ascontiguousarray(pairs.swapaxes(0, 1)).reshape(-1, n)
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
         self._energies = np.empty((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)
         # Products without a weight are left out.
         has_weight = np.arange(len(plan.horizontal) // 2) < plan.horizontal_counts[:, None]
         self._features = np.ascontiguousarray(plan.features[:, has_weight.ravel()])
-        self._counts = plan.horizontal_counts * grid.columns
         self._patch_groups = list(plan.patch_groups(_PATCHES))
         compared = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
-        rank = plan.hypotheses.shape[1]
+        rank, lanes = plan.hypotheses.shape[1], self._sliding.horizontal.shape[3]
         self._scratch = [
             _Scratch(
-                windows=np.empty((_PIXEL_ROWS, grid.columns, n), np.float32),
-                parts=np.empty((len(plan.vertical), width), np.float32),
-                power=np.empty(self._counts.sum(), np.float32),
-                functions=np.empty((len(plan.features), grid.columns), np.float32),
+                windows=np.zeros((_PIXEL_ROWS, lanes, n), np.float32),
                 patches=np.empty(rank * _PATCHES, np.float32),
                 hypotheses=np.empty(compared * _PATCHES, np.float32),
                 energies=np.empty(plan.levels * _PATCHES, np.float32),
@@ -125,7 +82,8 @@ class NumpyEngine:
         )[:, :: self.grid.stride_px]
         starts = range(0, self.plan.pixel_rows, _PIXEL_ROWS)
         self._workers.each(partial(self._transform_rows, overlapping), starts)
-        self._workers.each(self._project_row, range(self.grid.rows))
+        self._workers.each(self._sliding, range(len(self._sliding.horizontal)))
+        self._workers.each(self._project, range(0, self._precision.size, _PROJECTED))
 
     def take_products(self, products: FloatArray) -> None:
         """Take a frame as the products of transforms [patches, (2 V + U) H]; see `Plan`."""
@@ -147,28 +105,22 @@ class NumpyEngine:
 
     def _transform_rows(self, windows_of_rows: FloatArray, start: int, thread: int) -> None:
         """Transform the windows of some pixel rows horizontally."""
-        plan, grid = self.plan, self.grid
         rows = windows_of_rows[start : start + _PIXEL_ROWS]
         windows = self._scratch[thread].windows[: len(rows)]
-        np.copyto(windows, rows)
-        out = self._horizontal[start : start + len(rows)]
-        np.matmul(
-            plan.horizontal,
-            windows.swapaxes(1, 2),
-            out=out.reshape(len(rows), len(plan.horizontal), grid.columns),
-        )
+        np.copyto(windows[:, : self.grid.columns], rows)
+        lanes, first = windows.shape[1], self.grid.window_px + start
+        transforms = self._sliding.horizontal.reshape(len(self._pairs), -1)
+        out = transforms[:, first * lanes : (first + len(rows)) * lanes]
+        np.matmul(self._pairs, windows.reshape(-1, self.grid.window_px).T, out=out)
 
-    def _project_row(self, row: int, thread: int) -> None:
-        """Transform a row of windows vertically, and project its powers."""
-        plan, grid, scratch = self.plan, self.grid, self._scratch[thread]
-        first = row * grid.stride_px
-        np.matmul(
-            plan.vertical, self._horizontal[first : first + grid.window_px], out=scratch.parts
+    def _project(self, start: int, _: int) -> None:
+        """Project the products of some patches onto the common basis."""
+        some = slice(start, start + _PROJECTED)
+        products, functions = (
+            array.reshape(len(array), -1)[:, some]
+            for array in (self._sliding.products, self._functions)
         )
-        products_of_transforms(scratch.parts, plan.paired, self._counts, scratch.power)
-        power = scratch.power.reshape(-1, grid.columns)
-        np.matmul(self._features, power, out=scratch.functions)
-        self._functions[:, row] = scratch.functions
+        np.matmul(self._features, products, out=functions)
 
     def _compare(
         self,

@@ -10,7 +10,7 @@ from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.decoders.network.network import add_up, gather_squares
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
-from coded_aperture_ros.likelihood.numpy_engine import products_of_transforms
+from coded_aperture_ros.likelihood.sliding import slide
 
 RANDOM = np.random.default_rng(0)
 
@@ -36,17 +36,28 @@ def test_both_forms_find_the_same_paths(shape, strength):
     assert paths(add_best_paths.loop, shape, strength) == pytest.approx(plain, abs=1e-4)
 
 
-@pytest.mark.parametrize("unpaired", [1, 2])
-def test_both_forms_multiply_the_same_transforms(unpaired):
+@pytest.mark.parametrize(
+    ("window_px", "stride_px", "highest"), [(12, 4, 6), (12, 5, 3), (16, 24, 5), (8, 8, 4)]
+)
+def test_both_forms_slide_the_same(window_px, stride_px, highest):
+    """With and without the highest frequency of all, overlap, and gaps between windows."""
     pytest.importorskip("numba")
-    parts = RANDOM.standard_normal((2 * 5 + unpaired, 2 * 33), dtype=np.float32)
-    used = np.array([33, 30, 20, 7, 0, 33, 3, 0, 0, 1, 33, 12][: len(parts)])
-    found = [np.empty(used.sum(), np.float32) for _ in range(3)]
-    forms = products_of_transforms, products_of_transforms.plain, products_of_transforms.loop
-    for form, products in zip(forms, found, strict=True):
-        form(parts, 5, used, products)
+    rows = np.zeros((2, window_px + 2 * stride_px + window_px, 16), np.float32)
+    rows[:, window_px:] = RANDOM.standard_normal(rows[:, window_px:].shape)
+    angle = (
+        2 * np.pi / window_px * np.outer(np.arange(window_px // 2 + 1), np.arange(window_px + 3))
+    )
+    waves = np.stack([np.cos(angle), np.sin(angle)]).astype(np.float32)
+    window = (0.5 - 0.5 * np.cos(angle[1, :window_px])).astype(np.float32)
+    places = np.arange(2 * (highest + 1)).reshape(2, -1)
+    places[0, 1] = places[1, highest] = -1
+    found = [np.full((2 * (highest + 1), 3, 9), 7, np.float32) for _ in range(3)]
+    for form, products in zip((slide, slide.plain, slide.loop), found, strict=True):
+        form(rows, waves, (window, np.float32(-0.25), np.float32(0.5)), stride_px, places, products)
+        left_out = [1, 2 * highest + 1]
+        assert (products[left_out] == 7).all() and (np.delete(products, left_out, 0) != 7).all()
     for products in found[1:]:
-        assert products == pytest.approx(found[0], rel=1e-5, abs=1e-5)
+        assert products == pytest.approx(found[0], rel=1e-4, abs=1e-4)
 
 
 @pytest.mark.parametrize("rows", [(0, 8), (0, 2), (2, 6), (6, 8)])

@@ -1,6 +1,7 @@
 """How much work a frame is.
 
-- Operations are those of the matrix products, as `Plan` counts them. All else is counted as none.
+- Operations are those of the matrix products, as `Plan` counts them, and of the sums that slide
+  down the frame in the NumPy engine. All else is counted as none.
 - Bytes are estimated from the sizes of arrays: each stage takes its arrays from memory once and
   leaves its results there once. Beside these only the horizontal transform is counted, which is
   larger than a cache and kept between the two passes of the spectra. What a thread keeps for a row
@@ -32,7 +33,7 @@ def flop_of_spectra(plan: Plan) -> float:
     two_h = len(plan.horizontal)
     return 2.0 * (
         plan.pixel_rows * grid.columns * n * two_h
-        + patches * len(plan.vertical) * n * two_h
+        + plan.pixel_rows * grid.columns * len(plan.vertical) * two_h  # rows enter windows once
         + patches * len(plan.features) * float(plan.horizontal_counts.sum())
     )
 

@@ -132,12 +132,11 @@ class MotionEngine(NumpyEngine):
             energies[:] = self._exact.energies_for(sets.T)
         return energies.reshape(count, self._levels, rows, columns)
 
-    def _project_row(self, row: int, thread: int) -> None:
-        """Transform a row of windows vertically, and project its powers."""
-        super()._project_row(row, thread)
-        columns = self.grid.columns
-        products = self._products[row * columns : (row + 1) * columns, :-1]
-        products[:] = self._scratch[thread].power.reshape(-1, columns).T
+    def project(self, grey: FloatArray) -> None:
+        """Take a frame [rows, columns]: project every patch onto the common basis."""
+        super().project(grey)
+        products = self._sliding.products
+        self._products[:, :-1] = products.reshape(len(products), -1).T
 
     def _compete(self, noise: PerPatch, energies: FloatArray, tasks: list[_Task]) -> None:
         """Compute the energies of patches under motions; see `FilterBank`."""
