@@ -10,6 +10,7 @@ from typing import Any
 
 from coded_aperture_benchmarks.registry import BENCHMARKS, OF_THE_PROGRAM, Entry, Group
 from coded_aperture_benchmarks.run import run
+from coded_aperture_ros.core.blas import set_blas_variables
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 
@@ -103,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def main_of_all(arguments: Sequence[str] | None = None) -> int:
     """Run any benchmark; return its exit status. What goes wrong is one line."""
     # NumPy and OpenCV read these when they are imported.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    set_blas_variables()
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     logging.basicConfig(stream=sys.stderr, level=logging.WARNING, format="%(message)s")
     try:

@@ -11,7 +11,7 @@ from pathlib import Path
 from coded_aperture_ros.cli.command import UsageError
 from coded_aperture_ros.cli.commands import COMMANDS
 from coded_aperture_ros.cli.table import Actions
-from coded_aperture_ros.core.blas import slow_blas_warning
+from coded_aperture_ros.core.blas import set_blas_variables, slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 from coded_aperture_ros.core.text import shortened
@@ -113,9 +113,7 @@ def _print_any_name() -> None:
 
 def _set_up_libraries() -> None:
     """Choose what NumPy and OpenCV read when they are imported, unless the user has chosen."""
-    # Its threads wait for each other actively: beside other work on the machine, learning a bank
-    # takes ten times longer with them.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    set_blas_variables()
     # What cannot be read we say ourselves, in one line.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 

@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.core.blas import one_blas_thread
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.core.workers import Workers, thread_count
@@ -120,6 +121,7 @@ class Deblurrer:
         """End the worker threads."""
         self._workers.close()
 
+    @one_blas_thread
     def deblur(
         self,
         frame: FloatArray,

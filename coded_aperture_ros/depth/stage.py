@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, Shape
+from coded_aperture_ros.core.blas import one_blas_thread
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.decoded import Decoded
 from coded_aperture_ros.depth.decoders.network import DecoderChoice
@@ -230,6 +231,7 @@ class StageModule(Protocol):
         """
 
 
+@one_blas_thread
 def run(stages: Iterable[Stage], work: Work) -> None:
     """Call stages in order, and record the time of each in `work.seconds`.
 

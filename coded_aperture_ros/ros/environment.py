@@ -9,6 +9,7 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
+from coded_aperture_ros.core.blas import set_blas_variables
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.share import shared_memory_profile, shared_memory_suffices
 
@@ -18,20 +19,16 @@ _BOOTSTRAP = "ros_wheels_bootstrapper"
 
 # Nodes share a computer. Threads of libraries that wait for each other on busy cores slow a frame
 # down: it took 2.4 s instead of 0.12 s beside two busy processes.
-_THREAD_VARIABLES = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OPENCV_FOR_THREADS_NUM",
-)
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 
 
 def limit_libraries() -> None:
-    """Set one thread for numerical libraries, and OpenCV's limit for compressed pictures.
+    """Set threads and kernels of numerical libraries, and OpenCV's limit for compressed pictures.
 
     Without the limit a message of some bytes could take gigabytes. Variables that are set already
     stay. Call it before NumPy and OpenCV are imported: they read the variables then.
     """
+    set_blas_variables()
     for variable in _THREAD_VARIABLES:
         os.environ.setdefault(variable, "1")
     os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**26))  # 64 million
