@@ -68,6 +68,15 @@ class PatchGrid:
             window_px=window_px,
         )
 
+    def every(self, step: int) -> "PatchGrid":
+        """Grid of every `step`-th window along rows and columns, from the first on."""
+        return dataclasses.replace(
+            self,
+            stride_px=step * self.stride_px,
+            rows=-(-self.rows // step),
+            columns=-(-self.columns // step),
+        )
+
     @property
     def row_centres(self) -> IndexArray:
         """Pixel row of the centre of each row of windows [rows]."""

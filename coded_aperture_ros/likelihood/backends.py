@@ -32,6 +32,8 @@ class Engine(Protocol):
     def energies(self, noise: PerPatch) -> FloatArray:
         """Energy of every level for every patch [rows, columns, L].
 
+        Where the plan has levels that are not dense, those of patches between are arbitrary.
+
         Parameters
         ----------
         noise : float, or ndarray, float32 [rows, columns]
@@ -53,16 +55,23 @@ class EngineLikelihood:
     levels : int, optional
         Number of the engine's levels that are blur levels, by default all; those after them are
         of periodic texture, see `Cost.periodic`.
+    periodic_step : int
+        See `Cost`.
     """
 
     def __init__(
-        self, engine: Engine, window_correlation: float, levels: int | None = None
+        self,
+        engine: Engine,
+        window_correlation: float,
+        levels: int | None = None,
+        periodic_step: int = 1,
     ) -> None:
         self.backend = engine.name
         self.grid = engine.grid
         self._engine = engine
         self._window_correlation = window_correlation
         self._levels = levels
+        self._step = periodic_step
 
     def cost(
         self,
@@ -77,17 +86,25 @@ class EngineLikelihood:
         timer.lap("spectra")
         energies = self._engine.energies(noise)
         count = self._levels or energies.shape[-1]
-        energies, periodic_energies = energies[..., :count], energies[..., count:]
+        sparse = np.s_[:: self._step, :: self._step]
+        energies, periodic_energies = energies[..., :count], energies[sparse][..., count:]
         least = energies.min(axis=-1, keepdims=True)
-        volume, periodic = (
-            relative_cost(part, self._window_correlation, usable, least)
-            for part in (energies, periodic_energies)
+        volume = relative_cost(energies, self._window_correlation, usable, least)
+        periodic = relative_cost(
+            periodic_energies,
+            self._window_correlation,
+            None if usable is None else usable[sparse],
+            least[sparse],
         )
         # A window has about as many numbers as pixels.
         misfit = least[..., 0] / np.float32(self.grid.window_px**2)
         timer.lap("energies")
         return Cost(
-            volume, misfit, periodic=periodic if periodic.shape[-1] else None, seconds=timer.seconds
+            volume,
+            misfit,
+            periodic=periodic if periodic.shape[-1] else None,
+            periodic_step=self._step,
+            seconds=timer.seconds,
         )
 
     def close(self) -> None:

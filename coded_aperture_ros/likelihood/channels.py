@@ -48,10 +48,12 @@ class ChannelLikelihood:
         volume = np.sum([cost.volume for cost in costs], axis=0)
         least = volume.min(axis=-1, keepdims=True)
         periodic = [cost.periodic for cost in costs if cost.periodic is not None]
+        step = costs[0].periodic_step
         return Cost(
             volume - least,
             np.mean([cost.misfit for cost in costs if cost.misfit is not None], axis=0),
-            periodic=np.sum(periodic, axis=0) - least if periodic else None,
+            periodic=np.sum(periodic, axis=0) - least[::step, ::step] if periodic else None,
+            periodic_step=step,
             seconds={part: sum(cost.seconds[part] for cost in costs) for part in costs[0].seconds},
         )
 

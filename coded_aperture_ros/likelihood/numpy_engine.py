@@ -5,9 +5,9 @@ from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.plan import PatchGroup, Plan
 from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE, take_logarithm
 from coded_aperture_ros.likelihood.sliding import SlidingTransform
 
@@ -57,7 +57,7 @@ class NumpyEngine:
         pairs = np.reshape(plan.horizontal, (2, -1, n))
         self._pairs = np.ascontiguousarray(pairs.swapaxes(0, 1)).reshape(-1, n)
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
-        self._energies = np.empty((plan.levels, grid.rows * grid.columns), np.float32)
+        self._energies = np.zeros((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)
         # Products without a weight are left out.
         has_weight = np.arange(len(plan.horizontal) // 2) < plan.horizontal_counts[:, None]
@@ -91,9 +91,9 @@ class NumpyEngine:
         np.matmul(self.plan.features, products.T, out=functions)
 
     def energies(self, noise: PerPatch) -> FloatArray:
-        """Energies of the last projected frame [rows, columns, L]."""
+        """Energies of the last projected frame [rows, columns, L]; see `Engine`."""
         plan = self.plan
-        compared = plan.hypothesis_rows(plan.plausible_ratios(noise))
+        compared = plan.plausible_ratios(noise)
         self._precision[:] = 1 / (plan.count * np.square(noise))
         functions = self._functions.reshape(len(self._functions), -1)
         self._workers.each(partial(self._compare, functions, compared), self._patch_groups)
@@ -123,23 +123,19 @@ class NumpyEngine:
         np.matmul(self._features, products, out=functions)
 
     def _compare(
-        self,
-        functions: FloatArray,
-        compared: slice,
-        group: tuple[FloatArray, slice | IndexArray],
-        thread: int,
+        self, functions: FloatArray, compared: slice, group: PatchGroup, thread: int
     ) -> None:
         """Compute the energies of a group of patches; see `FilterBank`."""
-        plan, scratch = self.plan, self._scratch[thread]
-        hypotheses, indices = group
+        plan, scratch, indices = self.plan, self._scratch[thread], group.indices
         precision = self._precision.reshape(-1)[indices]
-        coefficients, count = hypotheses[compared], len(precision)
-        patches = scratch.patches[: coefficients.shape[1] * count].reshape(-1, count)
+        hypotheses = group.hypotheses[compared]
+        levels, size, count = *hypotheses.shape[2:], len(precision)
+        patches = scratch.patches[: size * count].reshape(-1, count)
         np.multiply(functions[:-1, indices], precision, out=patches[:-1])
         patches[-1] = 1
-        excess = scratch.hypotheses[: len(coefficients) * count].reshape(-1, count)
-        np.matmul(coefficients, patches, out=excess)
-        energies = scratch.energies[: plan.levels * count].reshape(-1, count)
+        excess = scratch.hypotheses[: hypotheses.size // size * count].reshape(-1, count)
+        np.matmul(hypotheses.reshape(-1, size), patches, out=excess)
+        energies = scratch.energies[: levels * count].reshape(-1, count)
         np.minimum.reduce(excess.reshape(-1, *energies.shape), axis=0, out=energies)
         take_logarithm(energies, functions[-1, indices] * precision + MIN_NOISE_SHARE, plan.count)
-        self._energies[:, indices] = energies
+        self._energies[group.levels, indices] = energies

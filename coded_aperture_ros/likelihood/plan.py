@@ -31,6 +31,8 @@ from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE, plausible_rat
 
 # Weights below this share of the largest are rounding.
 _NEGLIGIBLE = 1e-6
+# Distance of the patches with levels that are not dense, px.
+_SPARSE_PX = 16
 
 
 class Filters(Protocol):
@@ -92,6 +94,20 @@ class Area:
     rows: slice
     columns: slice
 
+    @property
+    def size(self) -> int:
+        """Numbers R + 1 of a hypothesis."""
+        return self.hypotheses.shape[1]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class PatchGroup:
+    """Patches, and some levels that are compared on them."""
+
+    hypotheses: FloatArray  # [S, slopes, levels, R + 1]; as those of `Plan`
+    levels: slice
+    indices: slice | IndexArray  # of the patches, row by row
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Plan:
@@ -125,13 +141,18 @@ class Plan:
     hypotheses: FloatArray
     count: float  # ``sum m``
     levels: int  # L
+    dense_levels: int  # those after them are of interest at every `sparse_step`-th patch only
     ratios: DoubleArray  # [S]; contrast over noise variance of the hypotheses
     contrasts: Sequence[float]  # variances of texture, the same under any noise
     areas: tuple[Area, ...]  # all patches; one area unless filters differ over the image
 
     @classmethod
-    def for_frames(cls, bank: Filters, shape: tuple[int, ...], stride_px: int) -> "Plan":
+    def for_frames(
+        cls, bank: Filters, shape: tuple[int, ...], stride_px: int, dense_levels: int | None = None
+    ) -> "Plan":
         """Plan for frames of `shape` (rows, columns) with patches every `stride_px`.
+
+        Without `dense_levels` all levels are.
 
         Raises
         ------
@@ -177,6 +198,7 @@ class Plan:
             hypotheses=hypotheses,
             count=count,
             levels=int(bank.log_determinants.shape[-1]),
+            dense_levels=dense_levels or int(bank.log_determinants.shape[-1]),
             ratios=bank.ratios,
             contrasts=bank.contrasts,
             areas=tuple(areas),
@@ -196,6 +218,11 @@ class Plan:
         each = len(self.hypotheses) // len(self.ratios)
         return slice(ratios.start * each, ratios.stop * each)
 
+    @property
+    def sparse_step(self) -> int:
+        """Of so many patches, along rows and columns, one has the levels that are not dense."""
+        return max(_SPARSE_PX // self.grid.stride_px, 1)
+
     def functions_of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
         """Linear functions of the products of transforms [(2 V + U) H, n]; see `features`.
 
@@ -210,16 +237,24 @@ class Plan:
             functions, self.grid.window_px, columns, self.paired, unpaired
         )
 
-    def patch_groups(self, size: int) -> Iterator[tuple[FloatArray, slice | IndexArray]]:
-        """Hypotheses and the indices of patches that share them, at most `size` patches each."""
+    def patch_groups(self, size: int) -> Iterator["PatchGroup"]:
+        """Groups of at most `size` patches that share their hypotheses."""
         index = np.arange(self.grid.rows * self.grid.columns).reshape(self.grid.rows, -1)
+        step = self.sparse_step
+        sparse = np.zeros(index.shape, np.bool_)
+        sparse[::step, ::step] = True
+        dense = slice(0, self.dense_levels), slice(self.dense_levels, self.levels)
         for area in self.areas:
-            patches = index[area.rows, area.columns].ravel()
-            for start in range(0, len(patches), size):
-                group = patches[start : start + size]
-                contiguous = len(self.areas) == 1  # a slice is not copied
-                indices = slice(group[0], group[-1] + 1) if contiguous else group
-                yield area.hypotheses, indices
+            hypotheses = area.hypotheses.reshape(len(self.ratios), -1, self.levels, area.size)
+            here = np.s_[area.rows, area.columns]
+            patches = index[here].ravel(), index[here][sparse[here]]
+            for levels, some in zip(dense, patches, strict=True):
+                own = np.ascontiguousarray(hypotheses[:, :, levels])
+                for start in range(0, len(some) if own.size else 0, size):
+                    group = some[start : start + size]
+                    contiguous = len(group) == group[-1] + 1 - group[0]  # a slice is not copied
+                    indices = slice(group[0], group[-1] + 1) if contiguous else group
+                    yield PatchGroup(own, levels, indices)
 
     @property
     def pixel_rows(self) -> int:

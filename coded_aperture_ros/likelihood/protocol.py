@@ -49,9 +49,11 @@ class Cost:
         where a patch shows two surfaces. None from methods that do not compute it.
     small : Cost or None
         The same of smaller patches, if they were asked for.
-    periodic : ndarray, float32 [rows, columns, P], or None
+    periodic : ndarray, float32 [some rows, some columns, P], or None
         As `volume`, of periodic texture at the levels `periodic_levels`, once or several times;
         below 0 where it explains a patch better than usual texture at any level.
+    periodic_step : int
+        Of so many patches, along rows and columns, `periodic` has one, from the first on.
     motion : MotionField or None
         From methods that distinguish motion from defocus.
     seconds : mapping of str to float
@@ -68,6 +70,7 @@ class Cost:
     misfit: FloatArray | None = None
     small: "Cost | None" = None
     periodic: FloatArray | None = None
+    periodic_step: int = 1
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 

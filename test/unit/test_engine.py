@@ -97,6 +97,19 @@ def test_only_what_a_mask_tells_is_looked_at(backend, mask, mirrored):
     assert_close(engine.energies(NOISE), energies_by_definition(bank, frame, 8, NOISE))
 
 
+@pytest.mark.parametrize(("stride_px", "step"), [(8, 2), (4, 4), (12, 1)])
+def test_levels_that_are_not_dense_are_those_of_some_patches(backend, stride_px, step):
+    bank, frame = some_bank(), some_frame((70, 85))
+    plan = Plan.for_frames(bank, frame.shape, stride_px, dense_levels=3)
+    engine = new_engine(plan, backend)
+    engine.project(frame)
+    energies = engine.energies(NOISE)
+    expected = energies_by_definition(bank, frame, stride_px, NOISE)
+    assert plan.sparse_step == step
+    assert_close(energies[..., :3], expected[..., :3])
+    assert_close(energies[::step, ::step], expected[::step, ::step])
+
+
 def test_frame_without_light_has_no_preference(backend):
     bank, black = some_bank(), np.zeros((64, 80), np.float32)
     engine = plan_engine(bank, black.shape, 8, backend)

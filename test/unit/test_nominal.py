@@ -132,7 +132,7 @@ def test_costs_of_channels_are_added(bank):
     added = sum(cost.volume for cost in costs)
     least = added.min(axis=-1, keepdims=True)
     assert found.volume == pytest.approx(added - least, abs=1e-4)
-    periodic = sum(cost.periodic for cost in costs) - least
+    periodic = sum(cost.periodic for cost in costs) - least[::2, ::2]
     assert found.periodic == pytest.approx(periodic, abs=1e-4)
 
 

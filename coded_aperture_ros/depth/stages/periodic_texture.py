@@ -13,6 +13,7 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
+from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 from coded_aperture_ros.likelihood.bank.prior import periodic_levels
@@ -45,13 +46,16 @@ class PeriodicTexture(Stage):
         """Compare the cost of the estimated level with that of periodic texture."""
         if work.frame_cost.periodic is None:
             return
-        observation, at = work.observation, work.map_grid
+        step = work.frame_cost.periodic_step
+        some, grid = np.s_[::step, ::step], work.observation.grid.every(step)
+        cost = dataclasses.replace(work.frame_cost, volume=work.frame_cost.volume[some])
+        at = MapGrid.for_map(grid, work.observation.grey.shape, work.level.shape)
         periodic = may_be_periodic(
-            work.frame_cost,
-            observation.usable,
+            cost,
+            work.observation.usable[some],
             at.values_at_patches(work.level),
             self.levels.blur_sizes_px,
-            observation.grid,
+            grid,
         )
         if periodic.any():
             found = at.nearest_patch_values(periodic)

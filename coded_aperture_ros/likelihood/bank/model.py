@@ -204,8 +204,9 @@ class FilterBank:
             Whether the cost has that of periodic texture, too, if sizes are in pixels; see `Cost`.
         """
         bank = self._with_periodic if periodic and self.stack.in_pixels else self
-        engine = new_engine(Plan.for_frames(bank, shape, stride_px), backend, threads)
-        own = EngineLikelihood(engine, self.window_correlation, self.levels)
+        planned = Plan.for_frames(bank, shape, stride_px, self.levels)
+        engine = new_engine(planned, backend, threads)
+        own = EngineLikelihood(engine, self.window_correlation, self.levels, planned.sparse_step)
         if not self.channels:
             return own
         settings = shape, stride_px, backend, threads, periodic
