@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.decoders.network.cells import draw
 from coded_aperture_ros.depth.decoders.network.network import add_up, gather_squares
+from coded_aperture_ros.depth.decoders.network.probabilities import (
+    REACH,
+    chosen_neighbours,
+    describe,
+)
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
 from coded_aperture_ros.likelihood.sliding import slide
@@ -169,6 +175,31 @@ def test_threads_that_call_first_compile_once(monkeypatch):
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda _: compiled(), range(8)))
     assert numba.asked == [True] and called == ["loop"] * 8
+
+
+@pytest.mark.parametrize(("first", "shape"), [((0, 0), (40, 56)), ((5, 7), (33, 41))])
+def test_both_forms_draw_the_same(first, shape):
+    pytest.importorskip("numba")
+    values = np.pad(RANDOM.random((10, 14), dtype=np.float32), 1, mode="edge")
+    quarters = chosen_neighbours(RANDOM.integers(0, 9, (4, 10, 14)).astype(np.uint8))
+    maps = [np.empty(shape, np.float32) for _ in range(3)]
+    for one_surface in (0.0, 0.9, 2.0):
+        for form, drawn in zip((draw, draw.plain, draw.loop), maps, strict=True):
+            form(values, quarters, np.float32(one_surface), first, drawn)
+        for drawn in maps[1:]:
+            assert drawn == pytest.approx(maps[0], abs=1e-6)
+
+
+def test_both_forms_describe_the_same():
+    pytest.importorskip("numba")
+    padded = np.zeros((12 + 2 * REACH, 50), np.float32)
+    padded[REACH:-REACH] = np.exp(-RANDOM.exponential(3, (12, 50)))
+    sizes_px = np.arange(2, 8, 0.5, dtype=np.float32)
+    found = [np.empty((3, 50), np.float32) for _ in range(3)]
+    for form, results in zip((describe, describe.plain, describe.loop), found, strict=True):
+        form(padded, sizes_px, results)
+    for results in found[1:]:
+        assert results == pytest.approx(found[0], abs=1e-5)
 
 
 def test_both_forms_look_up_the_same_depths():

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.frames import PatchGrid
 
 # Distance between cells, px; patches at other distances are interpolated.
@@ -107,6 +108,8 @@ def _interpolation(centres: IndexArray, first: int, cells: slice) -> FloatArray:
 
 
 HALF_CELL_PX = CELL_PX // 2
+# Largest difference of two values.
+_ANY = float(np.finfo(np.float32).max)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -132,34 +135,106 @@ class Drawing:
         height, width = self.cells.frame_shape
         return max(height / self.size[0], width / self.size[1])
 
-    def render_map(self, values: FloatArray, one_surface: float = np.inf) -> FloatArray:
+    def render_map(self, values: FloatArray, one_surface: float = _ANY) -> FloatArray:
         """Map of half-cells' values [rows, columns].
 
         Linear within a surface, where neighbours differ by at most `one_surface`; elsewhere every
         quarter of a half-cell has the value of the half-cell that was chosen for it.
         """
-        return self._cropped(upsample_half_cells(values, self.quarters, one_surface))
+        cells = self.cells
+        whole = upsample_half_cells(
+            values, self.quarters, one_surface, cells.frame_shape, (-cells.top, -cells.left)
+        )
+        return self._resized(whole)
 
     def upsample_nearest(self, values: FloatArray) -> FloatArray:
         """Map of cells' values [rows, columns], in squares."""
-        return self._cropped(np.repeat(np.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1))
-
-    def _cropped(self, whole: FloatArray) -> FloatArray:
-        """Part of a map of the cells that the frame covers, at the size of the maps."""
+        whole = np.repeat(np.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1)
         height, width = self.cells.frame_shape
-        whole = whole[-self.cells.top :, -self.cells.left :][:height, :width]
+        return self._resized(whole[-self.cells.top :, -self.cells.left :][:height, :width])
+
+    def _resized(self, whole: FloatArray) -> FloatArray:
+        """Map of the frame at the size of the maps."""
         if whole.shape != self.size:
             whole = cv2.resize(whole, self.size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
         return np.ascontiguousarray(whole)
 
 
-def upsample_half_cells(values: FloatArray, quarters: IndexArray, one_surface: float) -> FloatArray:
-    """Half-cells' values at every pixel of the cells; see `Drawing.render_map`."""
-    pixels = (HALF_CELL_PX * values.shape[1], HALF_CELL_PX * values.shape[0])
-    linear = cv2.resize(values, pixels, interpolation=cv2.INTER_LINEAR)
-    around = np.ones((3, 3), np.uint8)
-    even = (cv2.dilate(values, around) - cv2.erode(values, around) <= one_surface).view(np.uint8)
-    even = cv2.resize(even, pixels, interpolation=cv2.INTER_NEAREST)
+def upsample_half_cells(
+    values: FloatArray,
+    quarters: IndexArray,
+    one_surface: float,
+    shape: Shape | None = None,
+    first: Shape = (0, 0),
+) -> FloatArray:
+    """Half-cells' values at pixels; see `Drawing.render_map`.
+
+    By default at every pixel of the half-cells, otherwise at so many rows and columns from the
+    first ones on.
+    """
+    if shape is None:
+        shape = HALF_CELL_PX * values.shape[0], HALF_CELL_PX * values.shape[1]
+    drawn = np.empty(shape, np.float32)
     bordered = cv2.copyMakeBorder(values, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    edges = cv2.resize(bordered.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
-    return np.where(even.view(bool), linear, edges)
+    draw(bordered, quarters, np.float32(one_surface), first, drawn)
+    return drawn
+
+
+def _draw_loop(
+    values: FloatArray,
+    quarters: IndexArray,
+    one_surface: np.float32,
+    first: Shape,
+    drawn: FloatArray,
+) -> None:
+    columns, flat = values.shape[1] - 2, values.ravel()
+    low, high, line = np.empty((3, columns + 2), np.float32)
+    even, pixels = np.empty(columns, np.bool_), np.empty((columns, HALF_CELL_PX), np.float32)
+    near, far = np.float32(0.625), np.float32(0.875)  # weights by distance from the middle
+    for y in range(len(drawn)):
+        i, down = divmod(first[0] + y, HALF_CELL_PX)
+        if y == 0 or down == 0:
+            for j in range(columns + 2):
+                a, b, c = values[i, j], values[i + 1, j], values[i + 2, j]
+                low[j], high[j] = min(min(a, b), c), max(max(a, b), c)
+            for j in range(columns):
+                least = min(min(low[j], low[j + 1]), low[j + 2])
+                even[j] = max(max(high[j], high[j + 1]), high[j + 2]) - least <= one_surface
+        weight = near if down in (0, 3) else far
+        beside = i if down < 2 else i + 2
+        for j in range(columns + 2):
+            line[j] = weight * values[i + 1, j] + (1 - weight) * values[beside, j]
+        for j in range(columns):
+            before, here, after = line[j], line[j + 1], line[j + 2]
+            pixels[j, 0] = near * here + (1 - near) * before
+            pixels[j, 1] = far * here + (1 - far) * before
+            pixels[j, 2] = far * here + (1 - far) * after
+            pixels[j, 3] = near * here + (1 - near) * after
+        for j in range(columns):
+            if not even[j]:
+                pixels[j, :2] = flat[quarters[2 * i + down // 2, 2 * j]]
+                pixels[j, 2:] = flat[quarters[2 * i + down // 2, 2 * j + 1]]
+        drawn[y] = pixels.ravel()[first[1] : first[1] + drawn.shape[1]]
+
+
+def _draw_plain(
+    values: FloatArray,
+    quarters: IndexArray,
+    one_surface: np.float32,
+    first: Shape,
+    drawn: FloatArray,
+) -> None:
+    own = values[1:-1, 1:-1]
+    pixels = HALF_CELL_PX * own.shape[1], HALF_CELL_PX * own.shape[0]
+    linear = cv2.resize(own, pixels, interpolation=cv2.INTER_LINEAR)
+    around = np.ones((3, 3), np.uint8)
+    even = (cv2.dilate(own, around) - cv2.erode(own, around) <= one_surface).view(np.uint8)
+    even = cv2.resize(even, pixels, interpolation=cv2.INTER_NEAREST)
+    edges = cv2.resize(values.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
+    part = tuple(slice(at, at + length) for at, length in zip(first, drawn.shape, strict=True))
+    drawn[:] = np.where(even.view(bool), linear, edges)[part]
+
+
+# Writes the map of half-cells' values with a border of one, see `Drawing.render_map`, from a first
+# row and column on.
+draw = Compiled(_draw_loop, _draw_plain)

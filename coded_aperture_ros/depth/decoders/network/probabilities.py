@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds, to_half_cells
 
@@ -25,6 +26,54 @@ _SQUARE = np.ones((5, 5), np.uint8)
 _AROUND = (13, 13), (33, 33)
 # Half-cells that are processed together: as many as a core's cache holds.
 _CHUNK = 5376
+
+
+def _describe_loop(padded: FloatArray, tried_px: FloatArray, results: FloatArray) -> None:
+    levels, count = len(tried_px), padded.shape[1]
+    largest, best = np.zeros(count, np.float32), np.zeros(count, np.int32)
+    total, mean, square = np.zeros((3, count), np.float32)
+    for level in range(levels):
+        px = tried_px[level]
+        for x in range(count):
+            here = padded[level + REACH, x]
+            # With its neighbours: a blur size between two bins shares its probability among them.
+            together = padded[level + REACH - 1, x] + here + padded[level + REACH + 1, x]
+            if together > largest[x]:
+                largest[x] = together
+                best[x] = level
+            total[x] += here
+            mean[x] += px * here
+            square[x] += px * px * here
+    step = tried_px[1] - tried_px[0]
+    for x in range(count):
+        about, off = np.float32(0), np.float32(0)
+        for at in range(2 * REACH + 1):
+            about += padded[best[x] + at, x]
+            off += np.float32(at - REACH) * padded[best[x] + at, x]
+        size = tried_px[best[x]] + off / about * step
+        variance = (square[x] - 2 * mean[x] * size) / total[x] + size * size
+        results[0, x], results[1, x] = size, about / total[x]
+        results[2, x] = np.sqrt(max(variance, np.float32(0)))
+
+
+def _describe_plain(padded: FloatArray, tried_px: FloatArray, results: FloatArray) -> None:
+    probability = padded[REACH:-REACH]
+    steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
+    together = padded[REACH - 1 : -REACH - 1] + probability
+    together += padded[REACH + 1 : len(padded) - REACH + 1]
+    best = (together == together.max(axis=0)).argmax(axis=0)
+    around = np.take_along_axis(padded, best + np.arange(len(steps))[:, None], axis=0)
+    about = around.sum(axis=0)
+    size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
+    sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
+    total, mean, square = sums @ probability
+    square = (square - 2 * mean * size) / total + size**2
+    results[:] = size, about / total, np.sqrt(np.maximum(square, 0))
+
+
+# Writes size, probability and spread (see `HalfCells`) [3, n] of probabilities, up to a factor, of
+# the tried blur sizes, with `REACH` zeros before and after [tried + 2 REACH, n].
+describe = Compiled(_describe_loop, _describe_plain)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -60,25 +109,13 @@ class HalfCells:
     ) -> "HalfCells":
         """Half-cells of the network's output; `workers` share the work."""
         flat = logits.size.reshape(len(tried_px), -1)
-        steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
-        sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
         results = np.empty((3, flat.shape[1]), np.float32)
 
         def add_chunk(first: int, _: int) -> None:
-            chunk = np.s_[:, first : first + _CHUNK]
-            some = flat[chunk]
+            some = flat[:, first : first + _CHUNK]
             padded = np.zeros((len(some) + 2 * REACH, some.shape[1]), np.float32)
-            probability = np.exp(some - some.max(axis=0), out=padded[REACH:-REACH])
-            # With its neighbours: a blur size between two bins shares its probability among them.
-            together = padded[REACH - 1 : -REACH - 1] + probability
-            together += padded[REACH + 1 : len(padded) - REACH + 1]
-            best = (together == together.max(axis=0)).argmax(axis=0)
-            around = np.take_along_axis(padded, best + np.arange(len(steps))[:, None], axis=0)
-            about = around.sum(axis=0)
-            size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
-            total, mean, square = sums @ probability
-            square = (square - 2 * mean * size) / total + size**2
-            results[chunk] = size, about / total, np.sqrt(np.maximum(square, 0))
+            np.exp(some - some.max(axis=0), out=padded[REACH:-REACH])
+            describe(padded, tried_px, results[:, first : first + _CHUNK])
 
         (workers or Workers()).each(add_chunk, range(0, flat.shape[1], _CHUNK))
         width = np.exp(np.clip(logits.log_width, *_LOG_WIDTHS))
