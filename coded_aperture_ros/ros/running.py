@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
@@ -51,13 +51,13 @@ def run_nodes(factories: Sequence[Callable[[], Any]]) -> int:
             nodes.append(factory())
             executor.add_node(nodes[-1])
         stop.starting = False
-        spinner = threading.Thread(target=_spin, args=(executor, stop), name="executor")
-        spinner.start()
+        spinner = ExecutorThread(executor, "executor", ended=stop.event)
         stop.event.wait()
         for node in nodes:
             node.close()
-        executor.shutdown()
-        spinner.join()
+        spinner.stop()
+        if spinner.failed:
+            stop.status = 1
     except InputError as error:
         program = Path(sys.argv[0]).name.removesuffix(".py")
         sys.stderr.write(f"{program}: error: {error}\n")
@@ -86,16 +86,58 @@ def node_in_thread(make: Callable[[Context], _Node], thread: str) -> Iterator[_N
         endings.callback(node.destroy_node)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
-
-        def spin() -> None:
-            with contextlib.suppress(ExternalShutdownException):
-                executor.spin()
-
-        spinner = threading.Thread(target=spin, name=thread, daemon=True)
-        spinner.start()
-        endings.callback(spinner.join, 5.0)
-        endings.callback(executor.shutdown)
+        endings.callback(ExecutorThread(executor, thread).stop)
         yield node
+
+
+class ExecutorThread:
+    """Thread that runs the callbacks of an executor until `stop`, or until one of them fails.
+
+    `Executor.shutdown` of another thread takes away what `Executor.spin` is about to wait for, and
+    it does not wait for the callback in work. So here the thread ends first.
+
+    Parameters
+    ----------
+    executor : rclpy.executors.Executor
+    name : str
+        Of the thread.
+    ended : threading.Event, optional
+        Set when the thread ends.
+
+    Attributes
+    ----------
+    failed : bool
+        Whether a callback raised an error, which is then on stderr.
+    """
+
+    def __init__(self, executor: Executor, name: str, ended: threading.Event | None = None) -> None:
+        self.failed = False
+        self._executor = executor
+        self._stopped = False
+        self._ended = ended or threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Wait for the callback in work, end the thread and shut the executor down."""
+        self._executor.create_task(self._set_stopped)
+        self._thread.join()
+        self._executor.shutdown()
+
+    def _set_stopped(self) -> None:
+        self._stopped = True
+
+    def _run(self) -> None:
+        try:
+            while self._executor.context.ok() and not self._stopped:
+                self._executor.spin_once()
+        except ExternalShutdownException:
+            pass
+        except Exception:
+            traceback.print_exc()
+            self.failed = True
+        finally:
+            self._ended.set()
 
 
 class _StopSignal:
@@ -111,15 +153,3 @@ class _StopSignal:
         if self.starting:  # do not wait for the nodes: learning a bank takes seconds
             self.starting = False  # a second signal must not interrupt the shutdown
             raise SystemExit(0)
-
-
-def _spin(executor: SingleThreadedExecutor, stop: _StopSignal) -> None:
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
-    except Exception:
-        traceback.print_exc()
-        stop.status = 1
-    finally:
-        stop.event.set()
