@@ -26,11 +26,20 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_LOG_DIR"] = _LOGS.name
 # Tests make many participants in one process, one after the other and some side by side. Fast DDS
 # would hand their messages over directly, and then now and then never get to the end of removing a
-# participant that another one is just sending to.
+# participant that another one is just sending to. The rest keeps the participants of `Ros`, whose
+# transport is UDP alone, from looking for others beyond this machine.
 _PROFILES = Path(_LOGS.name) / "fastdds.xml"
 _PROFILES.write_text(
-    '<dds xmlns="http://www.eprosima.com">'
-    "<library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings></dds>"
+    """<dds xmlns="http://www.eprosima.com">
+    <library_settings><intraprocess_delivery>OFF</intraprocess_delivery></library_settings>
+    <profiles><participant profile_name="tests" is_default_profile="true"><rtps><builtin>
+        <metatrafficUnicastLocatorList><locator/></metatrafficUnicastLocatorList>
+        <initialPeersList>
+            <locator><udpv4><address>127.0.0.1</address></udpv4></locator>
+        </initialPeersList>
+    </builtin></rtps></participant></profiles>
+    </dds>
+    """
 )
 os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(_PROFILES)
 for name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_NAMESPACE", "ROS_DISCOVERY_SERVER"):

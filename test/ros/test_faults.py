@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import time
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -63,6 +64,10 @@ def goes_on(received, timeout_s=START_S):
 def kill(process):
     process.send_signal(signal.SIGKILL)
     process.wait()
+
+
+def test_who_watches_shares_no_memory_with_the_programs(ros):
+    assert "/dev/shm/fastrtps" not in Path("/proc/self/maps").read_text()
 
 
 @pytest.mark.serial

@@ -1,21 +1,22 @@
 """What the tests of the nodes share: a context and an executor of their own."""
 
-import contextlib
 import gc
 import os
 import subprocess
 import sys
-import threading
 import warnings
+from unittest import mock
 
 import rclpy
 import yaml
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
 from waiting import wait_until
+
+from coded_aperture_ros.ros.running import ExecutorThread
 
 with warnings.catch_warnings():
     # Imported by rclpy with the first message; uses modules that Python has deprecated.
@@ -32,18 +33,29 @@ def start_node(node, parameters, *arguments, **options):
     return subprocess.Popen([*command, *arguments], env=environment, **options)
 
 
+# Without shared memory: what a program that is killed, or stopped for a second, leaves there lets
+# Fast DDS 2.14 crash or wait for ever in those who had sent to it.
+UDP_ALONE = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",  # as in the profile of `conftest.py`
+    "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
+}
+
+
 class Ros:
-    """A ROS context of a test's own, whose nodes all spin in one thread."""
+    """A ROS context of a test's own, whose nodes all spin in one thread.
+
+    It hears the programs that a test starts over UDP; these hear each other as on a robot.
+    """
 
     def __init__(self):
         self.context = Context()
-        rclpy.init(context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.nodes = []
-        self.echoes = {}
-        self.probe = self.add(Node("probe", context=self.context))
-        self.thread = threading.Thread(target=self._spin)
-        self.thread.start()
+        with mock.patch.dict(os.environ, UDP_ALONE):
+            rclpy.init(context=self.context)
+            self.executor = SingleThreadedExecutor(context=self.context)
+            self.nodes = []
+            self.echoes = {}
+            self.probe = self.add(Node("probe", context=self.context))
+        self.spinner = ExecutorThread(self.executor, "executor")
 
     def add(self, node):
         self.nodes.append(node)
@@ -104,17 +116,14 @@ class Ros:
         for node in self.nodes:
             if hasattr(node, "close"):
                 node.close()
-        self.executor.shutdown()
-        self.thread.join()
+        self.spinner.stop()
         for node in self.nodes:
             node.destroy_node()
         self.context.try_shutdown()
         # Removes the participant now, and not when the garbage is collected some time.
         self.nodes.clear()
-        del self.probe, self.executor
+        failed = self.spinner.failed
+        del self.probe, self.executor, self.spinner
         self.context.destroy()
         gc.collect()
-
-    def _spin(self):
-        with contextlib.suppress(ExternalShutdownException):
-            self.executor.spin()
+        assert not failed, "a callback raised an error: see above"
