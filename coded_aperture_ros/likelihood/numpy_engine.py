@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch, as_floats
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.likelihood.plan import PatchGroup, Plan
 from coded_aperture_ros.likelihood.scoring import MIN_NOISE_SHARE, take_logarithm
@@ -48,14 +48,10 @@ class NumpyEngine:
     name = "numpy"
 
     def __init__(self, plan: Plan, threads: int = 1) -> None:
-        grid, n = plan.grid, plan.grid.window_px
         self.plan = plan
-        self.grid = grid
+        self.grid = grid = plan.grid
         self._workers = Workers(threads)
         self._sliding = SlidingTransform(plan)
-        # Cosine and sine of each frequency beside each other, as `SlidingTransform` has them.
-        pairs = np.reshape(plan.horizontal, (2, -1, n))
-        self._pairs = np.ascontiguousarray(pairs.swapaxes(0, 1)).reshape(-1, n)
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
         self._energies = np.zeros((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)
@@ -64,10 +60,10 @@ class NumpyEngine:
         self._features = np.ascontiguousarray(plan.features[:, has_weight.ravel()])
         self._patch_groups = list(plan.patch_groups(_PATCHES))
         compared = len(plan.hypotheses) // len(plan.ratios) * len(plan.contrasts)
-        rank, lanes = plan.hypotheses.shape[1], self._sliding.horizontal.shape[3]
+        rank = plan.hypotheses.shape[1]
         self._scratch = [
             _Scratch(
-                windows=np.zeros((_PIXEL_ROWS, lanes, n), np.float32),
+                windows=self._sliding.new_buffer(_PIXEL_ROWS),
                 patches=np.empty(rank * _PATCHES, np.float32),
                 hypotheses=np.empty(compared * _PATCHES, np.float32),
                 energies=np.empty(plan.levels * _PATCHES, np.float32),
@@ -77,12 +73,10 @@ class NumpyEngine:
 
     def project(self, grey: FloatArray) -> None:
         """Take a frame [rows, columns]: project every patch onto the common basis."""
-        overlapping = np.lib.stride_tricks.sliding_window_view(
-            self.plan.crop(grey), self.grid.window_px, axis=1
-        )[:, :: self.grid.stride_px]
+        pixels = as_floats(self.plan.crop(grey))
         starts = range(0, self.plan.pixel_rows, _PIXEL_ROWS)
-        self._workers.each(partial(self._transform_rows, overlapping), starts)
-        self._workers.each(self._sliding, range(len(self._sliding.horizontal)))
+        self._workers.each(partial(self._transform_rows, pixels), starts)
+        self._workers.each(self._sliding.slide_down, self._sliding.frequencies)
         self._workers.each(self._project, range(0, self._precision.size, _PROJECTED))
 
     def take_products(self, products: FloatArray) -> None:
@@ -103,15 +97,10 @@ class NumpyEngine:
         """Stop the engine's threads."""
         self._workers.close()
 
-    def _transform_rows(self, windows_of_rows: FloatArray, start: int, thread: int) -> None:
+    def _transform_rows(self, pixels: FloatArray, start: int, thread: int) -> None:
         """Transform the windows of some pixel rows horizontally."""
-        rows = windows_of_rows[start : start + _PIXEL_ROWS]
-        windows = self._scratch[thread].windows[: len(rows)]
-        np.copyto(windows[:, : self.grid.columns], rows)
-        lanes, first = windows.shape[1], self.grid.window_px + start
-        transforms = self._sliding.horizontal.reshape(len(self._pairs), -1)
-        out = transforms[:, first * lanes : (first + len(rows)) * lanes]
-        np.matmul(self._pairs, windows.reshape(-1, self.grid.window_px).T, out=out)
+        some = pixels[start : start + _PIXEL_ROWS]
+        self._sliding.transform_rows(some, start, self._scratch[thread].windows)
 
     def _project(self, start: int, _: int) -> None:
         """Project the products of some patches onto the common basis."""

@@ -16,7 +16,7 @@ from coded_aperture_ros.depth.decoders.network.probabilities import (
 )
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
-from coded_aperture_ros.likelihood.sliding import slide
+from coded_aperture_ros.likelihood.sliding import fold, slide
 
 RANDOM = np.random.default_rng(0)
 
@@ -175,6 +175,21 @@ def test_threads_that_call_first_compile_once(monkeypatch):
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda _: compiled(), range(8)))
     assert numba.asked == [True] and called == ["loop"] * 8
+
+
+@pytest.mark.parametrize("stride_px", [8, 5, 20])
+def test_both_forms_fold_the_same_windows(stride_px):
+    """The halves of 3 windows, also where there are gaps between these."""
+    pytest.importorskip("numba")
+    pixels = RANDOM.random((4, 2 * stride_px + 12), dtype=np.float32)
+    found = [np.full((2, 6, 5, 16), 7, np.float32) for _ in range(3)]
+    for form, folded in zip((fold, fold.plain, fold.loop), found, strict=True):
+        form(pixels, stride_px, 3, folded)
+    for folded in found:
+        assert np.array_equal(folded, found[0])
+        assert (folded[:, :, 4:] == 7).all() and (folded[..., 3:] == 7).all()
+    window = pixels[2, stride_px : stride_px + 12]
+    assert np.array_equal(found[0][1, :, 2, 1], window[1:7] - window[:5:-1])
 
 
 @pytest.mark.parametrize(("first", "shape"), [((0, 0), (40, 56)), ((5, 7), (33, 41))])
