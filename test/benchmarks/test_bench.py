@@ -79,6 +79,7 @@ def test_the_bank_can_know_the_noise(capsys):
     assert own["noise_estimated"] != pytest.approx(own["noise"], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_other_processes_measure_the_same(capsys):
     arguments = (*STAIR, "--sigmas", 0, 0.01, "--methods", "bank")
     alone = json_of(capsys, *arguments)["cells"]
@@ -365,6 +366,7 @@ def test_rods_of_random_scenes_are_counted(capsys):
     assert "rods 2-4" in table and "2 rods far" in table
 
 
+@pytest.mark.slow
 def test_rods_count_where_what_is_behind_is_clearly_farther():
     pytest.importorskip("numba", reason="random scenes need numba")
     from coded_aperture_benchmarks.datasets.random_scenes import RandomScene

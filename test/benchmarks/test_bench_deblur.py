@@ -197,6 +197,7 @@ def test_a_reference_method_that_is_better_is_named():
     assert "no reference method" in ahead_text([], 3)
 
 
+@pytest.mark.slow
 def test_a_stair_is_deblurred_by_both_depths(capsys, tmp_path):
     pytest.importorskip("skimage")
     arguments = ("--textures", "natural", "--sigmas", 0.001, "--methods", "fast", "levin")
@@ -426,6 +427,7 @@ def test_help_shows_examples(capsys, words):
     assert max(map(len, text.splitlines())) <= 100
 
 
+@pytest.mark.slow
 def test_speed_tells_time_of_grey_and_colour(capsys):
     small = ("bench", "deblur", "speed", "--size", "160x120", "--count", 2)
     cells = json_of(capsys, *small, "--methods", "fast")["cells"]

@@ -33,6 +33,7 @@ def test_benchmark_command(capsys):
     assert results["masks_per_second"] > 0
 
 
+@pytest.mark.slow
 def test_benchmark_command_with_pictures_of_a_folder(tmp_path, capsys):
     folder = picture_folder(tmp_path)
     small = ["--levels", "5", "--side", "48", "--window", "48", "--rank", "32", "--repeats", "1"]

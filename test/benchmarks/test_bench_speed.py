@@ -53,6 +53,7 @@ def results_of(capsys, *more):
     return json.loads(result.out)
 
 
+@pytest.mark.slow
 def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     pytest.importorskip("matplotlib")
     before = cv2.getNumThreads()

@@ -457,6 +457,7 @@ def test_help_shows_examples(capsys):
     assert max(map(len, text.splitlines())) <= 100
 
 
+@pytest.mark.slow
 def test_real_videos_are_read(data_dir):
     video = load_video(data_dir / "rendered" / "video", 12)
     assert video.depth_m.shape == (12, 240, 320)

@@ -89,6 +89,7 @@ def test_a_camera_that_is_not_of_ros_2_is_refused_by_name(scene, tmp_path, capsy
     assert result.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_what_an_sqlite_file_cannot_take_is_left_out_by_name(scene, tmp_path, capsys, caplog):
     bag = write_bag(tmp_path / "in", recording(scene, frames=1), "sqlite3")
     with sqlite3.connect(storage_file(bag)) as database:

@@ -68,6 +68,7 @@ def test_from_dots_to_a_stack_and_a_bank(folder, capsys):
     assert call(capsys, "learn", "--psfs", "new/psfs.npz", *small).status == 0
 
 
+@pytest.mark.slow
 def test_the_table_of_a_folder_and_a_camera_file_that_is_wrong(folder, capsys, caplog):
     (folder / "camera.yaml").write_text(yaml.safe_dump({**CAMERA, "mask_extent_mm": 35.0}))
     (folder / "pictures").mkdir()

@@ -856,7 +856,7 @@ def test_smoothness_counts_where_classical_regularisation_stands_in(scene, tmp_p
     assert not np.array_equal(*maps, equal_nan=True)
 
 
-@pytest.fixture(params=["bank", "motion", "two_pixel"])
+@pytest.fixture(params=["bank", pytest.param("motion", marks=pytest.mark.slow), "two_pixel"])
 def method(request, scene, tmp_path, capsys):
     """Options for every method, and a frame that it can use."""
     if request.param != "two_pixel":

@@ -148,6 +148,7 @@ def test_two_bags_of_one_name_are_refused(scene, week, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_workers_of_a_scheduler_share_the_bags(
     scene, week, tmp_path, capsys, monkeypatch, scheduler
 ):

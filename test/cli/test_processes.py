@@ -80,6 +80,7 @@ def end(process, number):
     return process.returncode, out + err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_pipeline_runs_and_ends_cleanly_in_full_swing(ros, start, number):
     deblurred = ros.subscribe("deblurred/image", Image)

@@ -66,6 +66,7 @@ def test_the_plot_of_foxglove_finds_its_figures(ros, chain, coded, checkout):
         assert float(reports.values[key]) >= 0
 
 
+@pytest.mark.slow
 def test_an_error_is_told_until_frames_have_been_good_for_a_while(ros, chain, coded):
     reports = Reports(ros)
     broken = mono8(coded)

@@ -85,6 +85,7 @@ def test_pairs_that_cannot_be_used_are_told_and_the_next_is_taken(ros, tmp_path)
     assert pairs.coded[0].header.stamp.sec == 2
 
 
+@pytest.mark.slow
 def test_pairs_that_come_do_not_wait_for_those_that_do_not(ros, tmp_path, capfd):
     pairs = Pairs(ros, tmp_path)
     assert wait_until(lambda: pairs.failed == 4)  # one a second

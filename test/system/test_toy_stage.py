@@ -143,7 +143,9 @@ def files(tmp_path):
     return tmp_path
 
 
-@pytest.mark.parametrize("listed", [True, False], ids=["listed", "by its file"])
+@pytest.mark.parametrize(
+    "listed", [pytest.param(True, marks=pytest.mark.slow), False], ids=["listed", "by its file"]
+)
 def test_options_of_a_stage_are_its_config(files, listed):
     own_package(files, TOY_WITH_OPTIONS, listed=listed)
     done = depth_of_own_package(files, "--toy-share", "0.5")

@@ -54,6 +54,7 @@ async def middle_of(page, selector):
     )
 
 
+@pytest.mark.slow
 @needs_browser
 def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
     async def use(page):
@@ -89,6 +90,7 @@ def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
     on_page(use, tmp_path, viewer_options(tmp_path))
 
 
+@pytest.mark.slow
 @needs_browser
 def test_points_stay_in_the_picture_wherever_they_are_turned(tmp_path):
     async def use(page):

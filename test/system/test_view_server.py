@@ -58,7 +58,7 @@ def recorded_frames(output):
     return counts["/image_raw"]
 
 
-@pytest.mark.parametrize("pages", [0, 1, 15])
+@pytest.mark.parametrize("pages", [0, pytest.param(1, marks=pytest.mark.slow), 15])
 def test_the_end_waits_for_no_page_and_keeps_the_recording(options, tmp_path, pages):
     async def use(served):
         stuck = [served.stuck_page() for _ in range(pages)]
@@ -128,6 +128,7 @@ def test_signals_end_the_program_with_its_recording(options, tmp_path, number):
     assert recorded_frames(chosen.output) >= 3
 
 
+@pytest.mark.slow
 def test_a_page_that_takes_nothing_is_dropped_and_a_slow_one_is_not(options, monkeypatch):
     monkeypatch.setattr(open_page, "_STUCK_S", 0.3)
 

@@ -50,7 +50,10 @@ def gains_of(stack, scenes):
     return cache(lambda method: [gain(stack, scene, method=method) for scene in scenes])
 
 
-@pytest.mark.parametrize(("method", "least"), [("fast", 1.5), ("cg", 2.5), ("sparse", 3.0)])
+@pytest.mark.parametrize(
+    ("method", "least"),
+    [("fast", 1.5), ("cg", 2.5), pytest.param("sparse", 3.0, marks=pytest.mark.slow)],
+)
 def test_true_depth_gives_a_better_picture_at_edges_too(gains_of, method, least):
     gains = gains_of(method)
     assert min(gains) > 0.5
@@ -61,7 +64,9 @@ def test_the_network_gains_over_the_closed_form(gains_of):
     assert min(np.subtract(gains_of("fast"), gains_of("inverse"))) > 0.3
 
 
-@pytest.mark.parametrize(("method", "most"), [("fast", 1.0), ("sparse", 2.0)])
+@pytest.mark.parametrize(
+    ("method", "most"), [("fast", 1.0), pytest.param("sparse", 2.0, marks=pytest.mark.slow)]
+)
 def test_depth_that_is_wrong_in_places_costs_little(stack, scenes, gains_of, method, most):
     random = np.random.default_rng(0)
     for scene, exact in zip(scenes, gains_of(method), strict=True):

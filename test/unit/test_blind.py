@@ -74,6 +74,7 @@ def test_mask_and_blur_sizes_are_found(found):
     assert not found.doubtful
 
 
+@pytest.mark.slow
 def test_a_mask_that_the_grids_cannot_show_is_doubtful(pictures):
     config = dataclasses.replace(CONFIG, least_cells=7, most_cells=7)
     assert find_mask(pictures, names(), config).doubtful
@@ -281,6 +282,7 @@ def known(monkeypatch):
         monkeypatch.setattr(f"coded_aperture_ros.{module}.find_mask", find)
 
 
+@pytest.mark.slow
 def test_the_examples_of_calibrate_blind(folder, capsys, known, caplog):
     for name in "abcd":
         write_image(f"{name}.png", read_image("planes/0.png"))

@@ -193,6 +193,7 @@ def small_offer(**changes):
     return dataclasses.replace(offer, camera=camera)
 
 
+@pytest.mark.slow
 def test_a_camera_measures_no_range_in_the_dark():
     """That it measures one in the light is tested with `design --for`."""
     offer = small_offer()

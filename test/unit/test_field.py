@@ -135,6 +135,7 @@ def test_a_wrong_distance_is_found(planes):
     assert found.found_m[list(found.misplaced)] == pytest.approx(1.9, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     for index, image in enumerate(planes.images):
         write_image(tmp_path / f"{index}.png", image)

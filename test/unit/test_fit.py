@@ -209,6 +209,7 @@ def own_healths(levin, bank):
     return [(scene, health_of(bank, recorded(scene.coded())).health) for scene in scenes]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mask", ["four_hole", "disc"])
 def test_frames_through_another_mask_do_not_fit(bank, own_healths, mask):
     """Not all small frames tell."""

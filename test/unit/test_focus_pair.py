@@ -41,6 +41,7 @@ def right(estimate, truth_m):
     return float((error <= 0.1).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second_m", [BEFORE_M, 1.9])
 def test_sides_are_told_without_an_asymmetric_mask(truth_m, second_m):
     """By a second frame focused before the scene, and by one whose focus is within it too."""

@@ -115,6 +115,7 @@ def test_gradient_is_that_of_the_likelihood(planes):
             assert (above - below) / (2 * step) == pytest.approx(gradient @ direction, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_focus_of_ray_traced_planes_is_found(data_dir):
     planes = load_folder(data_dir / "rendered" / "calib")
     sizes = MaskSearch(planes, 32, lambda steps: [steps[1], steps[8]]).mixture().sizes
@@ -122,6 +123,7 @@ def test_focus_of_ray_traced_planes_is_found(data_dir):
     assert sizes.lens.depth_m(sizes.px[[0, -1]]) == pytest.approx([0.8182, 4.5], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_blur_wider_than_half_the_window_is_told(planes, caplog, monkeypatch):
     monkeypatch.setattr("coded_aperture_ros.calibration.mask.cells._STARTS", 4)
     search = MaskSearch(planes, 16, lambda steps: steps)

@@ -83,6 +83,7 @@ def test_memory_does_not_grow(bank, frames, temporal_frames, warm_up):
     assert grown < 50_000  # less than half a frame
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_changes_of_size(bank, frames):
     """Each size is planned anew; the plans before are let go."""
     estimator = DepthEstimator(bank, dataclasses.replace(EVERYTHING, temporal_frames=3.0))
@@ -91,6 +92,7 @@ def test_memory_does_not_grow_with_changes_of_size(bank, frames):
     assert grown < 50_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"method": "cg", "iterations": 2}])
 def test_memory_of_deblurring_does_not_grow(bank, frames, options):
     """Nor with other sizes of frames, or other settings."""

@@ -206,6 +206,7 @@ def test_colour_frames_go_through_all_stages(bank, options):
     estimator.close()
 
 
+@pytest.mark.slow
 def test_methods_without_channels_take_the_mean_of_colour_frames(bank):
     model = new_model("motion", bank=bank)
     frame = plane(bank.stack.channel_psfs[:, 7])

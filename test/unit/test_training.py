@@ -161,6 +161,7 @@ def test_a_task_refuses_steps_and_shards_that_it_does_not_have(run, capsys):
         assert message in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(training, few_frames, run, tmp_path):
     first = training["scenes"].FIRST_FENCED_SHARD
     run("second", "data", "--folder", tmp_path, "--shards", first, first + 1, "--held-back")

@@ -305,6 +305,7 @@ def test_command_line_refuses_in_one_line(tmp_path, capsys, arguments, status, s
     assert "Traceback" not in result.err
 
 
+@pytest.mark.slow
 def test_benchmark_of_accuracy(capsys):
     options = ("--cases", "random,0.0001", "--masks", "two_hole", "--levels", 8, "--side", 96)
     arguments = ("bench", "accuracy", "two_pixel", *options, "--window", 48, "--jobs", 1)

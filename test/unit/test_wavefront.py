@@ -169,6 +169,7 @@ def test_every_patch_is_in_one_area(bank):
     assert (seen == 1).all()
 
 
+@pytest.mark.slow
 def test_parts_are_scored_as_banks_of_their_own(bank):
     """Energies in a corner are those of a bank of the PSFs there, but for the basis."""
     frame = plane(LENS, 1.6, 5)
@@ -223,6 +224,7 @@ def test_planes_show_how_the_psf_changes(monkeypatch):
     assert len(TERMS) == len(TERM_NAMES)
 
 
+@pytest.mark.slow
 def test_deblurring_goes_by_the_parts_of_the_image():
     from coded_aperture_ros.deblur import DeblurConfig, Deblurrer, blur_levels, make_deblurrer
 
