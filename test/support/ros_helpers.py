@@ -33,8 +33,9 @@ def start_node(node, parameters, *arguments, **options):
     return subprocess.Popen([*command, *arguments], env=environment, **options)
 
 
-# Without shared memory: what a program that is killed, or stopped for a second, leaves there lets
-# Fast DDS 2.14 crash or wait for ever in those who had sent to it.
+# Without shared memory: a program that is killed or stopped while it sends holds the lock of the
+# receiver's port. Fast DDS 2.14 then makes the port anew, in a thread, and a participant that is
+# removed meanwhile waits for the lock in memory that is no longer mapped: a segmentation fault.
 UDP_ALONE = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",  # as in the profile of `conftest.py`
     "FASTDDS_BUILTIN_TRANSPORTS": "UDPv4",
