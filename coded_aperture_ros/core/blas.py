@@ -1,4 +1,4 @@
-"""BLAS, which computes NumPy's matrix products: its kernels and threads, and whether it is slow."""
+"""BLAS, which computes NumPy's matrix products: its threads, and whether it is slow."""
 
 import contextlib
 import ctypes
@@ -14,26 +14,16 @@ SLOW_BLAS_WARNING = (
     "sudo apt install libopenblas0"
 )
 _MAPS = Path("/proc/self/maps")
-# Processors of AMD from this family on (Zen 5) have AVX-512 in full width.
-_ZEN_5 = 26
-_KERNELS = "SkylakeX"
-_NEEDED_FLAGS = {"avx512f", "avx512cd", "avx512bw", "avx512dq", "avx512vl"}
 
 
-def set_blas_variables(cpuinfo: Path = Path("/proc/cpuinfo")) -> None:
-    """Set one thread and the fastest kernels for OpenBLAS, unless the user has chosen.
+def set_blas_variables() -> None:
+    """Set one thread for OpenBLAS, unless the user has chosen.
 
     Its threads wait for each other actively: beside other work on the machine, learning a bank
-    takes ten times longer with them. OpenBLAS up to 0.3.31 takes Zen 5 for a processor without
-    AVX-512 (its issue 6029): matrix products of 1024 took 1.9 times as long. Call it before NumPy
-    is imported, which reads the variables then.
+    takes ten times longer with them. Call it before NumPy is imported, which reads the variable
+    then.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with contextlib.suppress(OSError):
-        values = dict(re.findall(r"^(.+?)\s*: (.*)$", cpuinfo.read_text(errors="replace"), re.M))
-        is_zen_5 = values.get("vendor_id") == "AuthenticAMD" and int(values["cpu family"]) >= _ZEN_5
-        if is_zen_5 and set(values["flags"].split()) >= _NEEDED_FLAGS:
-            os.environ.setdefault("OPENBLAS_CORETYPE", _KERNELS)
 
 
 class _OneThread(contextlib.ContextDecorator):

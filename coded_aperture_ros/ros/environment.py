@@ -23,7 +23,7 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_N
 
 
 def limit_libraries() -> None:
-    """Set threads and kernels of numerical libraries, and OpenCV's limit for compressed pictures.
+    """Set one thread for numerical libraries, and OpenCV's limit for compressed pictures.
 
     Without the limit a message of some bytes could take gigabytes. Variables that are set already
     stay. Call it before NumPy and OpenCV are imported: they read the variables then.

@@ -188,7 +188,8 @@ def _draw_loop(
     drawn: FloatArray,
 ) -> None:
     columns, flat = values.shape[1] - 2, values.ravel()
-    low, high, line = np.empty((3, columns + 2), np.float32)
+    low, high = np.empty(columns + 2, np.float32), np.empty(columns + 2, np.float32)
+    line = np.empty(columns + 2, np.float32)
     even, pixels = np.empty(columns, np.bool_), np.empty((columns, HALF_CELL_PX), np.float32)
     near, far = np.float32(0.625), np.float32(0.875)  # weights by distance from the middle
     for y in range(len(drawn)):

@@ -31,7 +31,8 @@ _CHUNK = 5376
 def _describe_loop(padded: FloatArray, tried_px: FloatArray, results: FloatArray) -> None:
     levels, count = len(tried_px), padded.shape[1]
     largest, best = np.zeros(count, np.float32), np.zeros(count, np.int32)
-    total, mean, square = np.zeros((3, count), np.float32)
+    total, mean = np.zeros(count, np.float32), np.zeros(count, np.float32)
+    square = np.zeros(count, np.float32)
     for level in range(levels):
         px = tried_px[level]
         for x in range(count):
