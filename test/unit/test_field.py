@@ -208,7 +208,10 @@ def test_depth_of_what_is_at_infinity_on_the_axis_has_a_deviation():
 
 
 @pytest.mark.slow
-def test_planes_of_a_lens_with_field_curvature_pass_and_give_its_bank(tmp_path, capsys, caplog):
+def test_planes_of_a_lens_with_field_curvature_pass_and_give_its_bank(
+    tmp_path, capsys, caplog, monkeypatch
+):
+    monkeypatch.setattr("coded_aperture_ros.calibration.planes.search._FINE_ROUNDS", 1)
     # More curved than planes by themselves can be explained with.
     bent = dataclasses.replace(STRAIGHT, field_curvature=FieldCurvature(4.0, -5.0))
     files = [f"{index}.png" for index in range(len(DEPTHS_M))]
