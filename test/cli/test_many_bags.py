@@ -184,7 +184,7 @@ def test_the_example_of_the_help(scene, week, tmp_path, capsys, monkeypatch, sch
 @pytest.mark.slow
 def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
     distributed = pytest.importorskip("distributed")
-    write_bag(tmp_path / "in" / "long", recording(scene, frames=40))
+    write_bag(tmp_path / "in" / "long", recording(scene, frames=20))
     environment = os.environ | {"PYTHONPATH": f"{checkout}{os.pathsep}{checkout / 'benchmarks'}"}
     program = [sys.executable, "-m", "coded_aperture_ros"]
     with distributed.LocalCluster(
@@ -209,7 +209,7 @@ def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
                 each.kill()
                 each.wait()
     found = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (found["used"], len(found["bags"])) == (40, 1)
+    assert (found["used"], len(found["bags"])) == (20, 1)
 
 
 @pytest.mark.slow
@@ -217,7 +217,7 @@ def test_another_worker_does_what_a_dead_one_was_at(scene, tmp_path, checkout):
 def test_a_worker_that_is_killed_costs_no_bag(scene, tmp_path):
     names = ["one", "two", "three"]
     for name in names:
-        write_bag(tmp_path / "in" / name, recording(scene, frames=40))
+        write_bag(tmp_path / "in" / name, recording(scene, frames=20))
     line = command(scene, tmp_path / "in", tmp_path / "out", "--gamma", 1, names=names)
     program = [sys.executable, "-m", "coded_aperture_ros", *map(str, line)]
     asked = subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -229,7 +229,7 @@ def test_a_worker_that_is_killed_costs_no_bag(scene, tmp_path):
         asked.kill()
     assert (asked.returncode, said) == (0, "")
     found = json.loads((tmp_path / "out" / "report.json").read_text())
-    assert (found["used"], len(found["bags"])) == (120, 3)
+    assert (found["used"], len(found["bags"])) == (60, 3)
 
 
 def test_a_scheduler_that_is_not_there_is_named(scene, week, tmp_path, capsys):
