@@ -168,8 +168,7 @@ def _slide_loop(
     parted = new.reshape(len(new), 2, lanes)
     # Sums of -1 to last + 1 cycles, by wave; both horizontal parts at once are faster.
     sums = np.zeros((last + 3, 2, 2 * lanes), np.float32)
-    turned, found = np.empty((2, 2 * lanes), np.float32), np.empty((2, lanes), np.float32)
-    parts = turned.reshape(2, 2, lanes)
+    parts, found = sums.reshape(last + 3, 2, 2, lanes), np.empty((2, lanes), np.float32)
     for top in range(0, height - n - block + 1, block):
         for at in range(2 * block):
             j, part = at // 2, at % 2
@@ -193,13 +192,15 @@ def _slide_loop(
         row, turn = start // stride, start % n
         c, s = swing * cosine[1, turn], swing * sine[1, turn]
         for v in range(index.shape[1]):
-            for x in range(2 * lanes):
-                c0, c1, c2 = sums[v, 0, x], sums[v + 1, 0, x], sums[v + 2, 0, x]
-                s0, s1, s2 = sums[v, 1, x], sums[v + 1, 1, x], sums[v + 2, 1, x]
-                turned[0, x] = mean * c1 + c * (c0 + c2) + s * (s2 - s0)
-                turned[1, x] = mean * s1 + c * (s0 + s2) + s * (c0 - c2)
             for x in range(lanes):
-                cc, cs, sc, ss = parts[0, 0, x], parts[0, 1, x], parts[1, 0, x], parts[1, 1, x]
+                c0, c1, c2 = parts[v, 0, 0, x], parts[v + 1, 0, 0, x], parts[v + 2, 0, 0, x]
+                s0, s1, s2 = parts[v, 1, 0, x], parts[v + 1, 1, 0, x], parts[v + 2, 1, 0, x]
+                cc = mean * c1 + c * (c0 + c2) + s * (s2 - s0)
+                sc = mean * s1 + c * (s0 + s2) + s * (c0 - c2)
+                c0, c1, c2 = parts[v, 0, 1, x], parts[v + 1, 0, 1, x], parts[v + 2, 0, 1, x]
+                s0, s1, s2 = parts[v, 1, 1, x], parts[v + 1, 1, 1, x], parts[v + 2, 1, 1, x]
+                cs = mean * c1 + c * (c0 + c2) + s * (s2 - s0)
+                ss = mean * s1 + c * (s0 + s2) + s * (c0 - c2)
                 found[0, x] = cc * cc + cs * cs + sc * sc + ss * ss
                 found[1, x] = cc * ss - cs * sc
             for kind in range(2):
