@@ -32,7 +32,7 @@ def flop_of_spectra(plan: Plan) -> float:
     patches = grid.rows * grid.columns
     two_h = len(plan.horizontal)
     return 2.0 * (
-        plan.pixel_rows * grid.columns * n * two_h
+        plan.pixel_rows * grid.columns * n / 2 * two_h  # both halves of a window are added up
         + plan.pixel_rows * grid.columns * len(plan.vertical) * two_h  # rows enter windows once
         + patches * len(plan.features) * float(plan.horizontal_counts.sum())
     )
