@@ -2,12 +2,10 @@
 
 import dataclasses
 import itertools
-from collections.abc import Sequence
 
 import numpy as np
 from places import KINDS, LABELS, PHOTOGRAPH
 from scipy.optimize import minimize
-from shards import Arrays
 
 from coded_aperture_ros.depth.decoders.network.network import Calibration
 
@@ -117,26 +115,23 @@ def calibration_arrays(calibration: Calibration) -> dict[str, np.ndarray]:
     return {**layers, "deviation": np.array(calibration.deviation)}
 
 
-def deviation_calibration(found: Sequence[Arrays], calibration: Calibration) -> Calibration:
-    """Calibration with the factor of the standard deviation, by the errors of small frames.
+def deviation_calibration(
+    places: np.ndarray, calibration: Calibration, former: np.float32
+) -> Calibration:
+    """Calibration with the factor of the standard deviation, by the errors of what is published.
 
-    Prints how well the confidence holds on them. `found` has of each frame what was found of the
-    places in it: `features` [features, places], `tolerance`, `error` and `deviation`, px.
+    Prints how well the confidence holds. `former` is the factor that the places were found with.
     """
-    all_of = {name: np.concatenate([one[name] for one in found], axis=-1) for name in found[0]}
-    error, tolerance = all_of["error"], all_of["tolerance"]
-    confidence = calibration.confidence(all_of["features"])
+    features, right, errors = places[:-LABELS], places[-LABELS], places[2 - LABELS]
+    confidence = calibration.confidence(features)
     published = confidence >= _PUBLISHED
     if not published.any():
         raise SystemExit("the network is sure of nothing: fit it for longer")
-    right, twice = error <= tolerance, error <= 2 * tolerance
-    print(f"right to 5 %: {right.mean():.3f}, to 10 %: {twice.mean():.3f}")
-    print(f"published {published.mean():.3f}, of these to 10 %: {twice[published].mean():.3f}")
     for low in np.arange(0, 1, 0.1):
         part = (confidence >= low) & (confidence < low + 0.1)
         if part.any():
             means = (confidence[part].mean(), right[part].mean(), part.mean())
             print(f"{low:.1f}: " + " ".join(f"{mean:.3f}" for mean in means))
-    factor = np.quantile((error / all_of["deviation"])[published], 0.68)
+    factor = former * np.nanquantile(errors[published], 0.68)
     print(f"deviation: {factor:.3f}")
     return dataclasses.replace(calibration, deviation=np.float32(factor))

@@ -86,13 +86,15 @@ def measured_scene(
     blur_range_px: tuple[float, float],
     shape: tuple[int, int],
     random: np.random.Generator,
+    channel: int | None = None,
 ) -> tuple[LayeredScene, BoolArray]:
     """Part of a photograph, at a random size and angle, before a camera with some range of blur.
+
+    Its light is that of a channel, or a random mixture of all.
 
     Returns
     -------
     scene : LayeredScene
-        Its light is grey.
     known : ndarray, bool [rows, columns]
         Where the truth is.
     """
@@ -101,6 +103,8 @@ def measured_scene(
     canvas = tuple(FINENESS * (length + 2 * margin) for length in shape)
     turn = _random_turn(measured.known.shape, canvas, random)
     tint = random.dirichlet((4, 4, 4)).astype(np.float32)
+    if channel is not None:
+        tint = np.eye(3, dtype=np.float32)[channel]
     exposure = np.float32(math.exp(random.uniform(math.log(0.3), math.log(1.0))))
 
     def turned(values: FloatArray) -> FloatArray:

@@ -1,5 +1,6 @@
 """What the refinement finds in whole frames that are kept apart, and whether it is right."""
 
+import copy
 import dataclasses
 import hashlib
 import itertools
@@ -11,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from coded_aperture_benchmarks.datasets.cameras import camera_for_blur
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
-from coded_aperture_benchmarks.datasets.room import random_room, walk
+from coded_aperture_benchmarks.datasets.room import Room, random_room, walk
 from measured import load_measured, measured_scene
 from shards import Arrays, Data, make
 from weights_file import package_weights
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import network as package
 from coded_aperture_ros.depth.decoders.network import unsupported_reason
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells
@@ -26,6 +27,7 @@ from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
 from coded_aperture_ros.simulation.layered import random_scene
+from coded_aperture_ros.simulation.layered.scene import LayeredScene
 
 FRAMES_PER_SHARD = 10
 _MASKS = ("levin", "levin", "four_hole", "zhou", "levin", "veeraraghavan")
@@ -55,14 +57,22 @@ PHOTOGRAPH, _CODED = 3, 4
 _MISFIT_SHARE = 0.3
 _MISFIT = 0.006
 _RIGHT = 0.05
+# Share of the frames in colour; how much colours of surfaces differ at most; and how often a
+# surface has the colour of the one before: a piece of furniture is many boards.
+_COLOUR_SHARE = 0.5
+_TINT = (0.6, 1.6)
+_SAME_LAYER, _SAME_BOARD = 0.25, 0.7
 # Rows of places after the features: share of a half-cell's pixels that are right to 5 and to 10 %,
-# the kind, and the number of the photograph or room.
-LABELS = 4
+# the mean error in standard deviations, the kind, and the number of the photograph or room.
+LABELS = 5
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _View:
-    """A frame without noise, and the truth: its kind of scene, depth range, and camera."""
+    """A frame without noise, and the truth: its kind of scene, depth range, and camera.
+
+    The frame is grey [rows, columns], or in colour [rows, columns, 3].
+    """
 
     kind: int
     coded: np.ndarray
@@ -75,6 +85,7 @@ class _View:
 def _view(index: int, random: np.random.Generator) -> _View:
     """What a frame shows: a furnished room, an empty one, or layers."""
     mask = Mask.named(_MASKS[index // 2 % len(_MASKS)])
+    colour = random.random() < _COLOUR_SHARE
     if random.random() < 0.4:
         near_m, far_m = random.uniform(0.7, 1.0), random.uniform(6, 8)
         blur_px = random.uniform(1, 5), random.uniform(8, 19)
@@ -84,12 +95,53 @@ def _view(index: int, random: np.random.Generator) -> _View:
         pose = poses[random.integers(len(poses))]
         _, depth_m = room.seen(camera, pose)
         range_m = near_m * random.uniform(0.9, 1), far_m * random.uniform(1, 1.2)
-        return _View(0, room.coded(camera, pose), depth_m, range_m, camera, index // 4)
+        rooms = _tinted_rooms(room, random) if colour else [room]
+        coded = np.dstack([each.coded(camera, pose) for each in rooms]).squeeze()
+        return _View(0, coded, depth_m, range_m, camera, index // 4)
     empty = random.random() < 0.25
     side = "far" if random.random() < 0.85 else "near"
     scene = random_scene(_FIRST_SCENE + index, mask, side, _SIZE, empty=empty)
     depth_m, kind = scene.depth_m(), 1 if empty else 2
-    return _View(kind, scene.coded(), depth_m, _wider(depth_m, random), scene.camera, index // 4)
+    scenes = _tinted_scenes(scene, random) if colour else [scene]
+    coded = np.dstack([each.coded() for each in scenes]).squeeze()
+    return _View(kind, coded, depth_m, _wider(depth_m, random), scene.camera, index // 4)
+
+
+def _tints(count: int, same: float, random: np.random.Generator) -> np.ndarray:
+    """Colours of surfaces [count, 3], 1 at most; a share have that of the one before."""
+    tints = random.uniform(*np.log(_TINT), (count, 3)) * random.random((count, 1))
+    for number in np.flatnonzero(random.random(count) < same):
+        tints[number] = tints[max(number - 1, 0)]
+    return np.asarray(np.exp(tints - tints.max(axis=1, keepdims=True)), np.float32)
+
+
+def _tinted_rooms(room: Room, random: np.random.Generator) -> list[Room]:
+    """A room as each channel sees it."""
+    tints = _tints(len(room.boards), _SAME_BOARD, random)
+    return [
+        Room(
+            tuple(
+                dataclasses.replace(board, tone=board.tone * float(share))
+                for board, share in zip(room.boards, channel, strict=True)
+            )
+        )
+        for channel in tints.T
+    ]
+
+
+def _tinted_scenes(scene: LayeredScene, random: np.random.Generator) -> list[LayeredScene]:
+    """A scene as each channel sees it."""
+    tints = _tints(len(scene.layers), _SAME_LAYER, random)
+    return [
+        dataclasses.replace(
+            scene,
+            layers=tuple(
+                dataclasses.replace(layer, light=layer.light * share)
+                for layer, share in zip(scene.layers, channel, strict=True)
+            ),
+        )
+        for channel in tints.T
+    ]
 
 
 def _photograph_view(
@@ -100,10 +152,17 @@ def _photograph_view(
     near_px = random.uniform(1, 5)
     far_px = random.uniform(near_px + 4, 20)
     blur_px = (near_px, far_px) if random.random() < 0.85 else (-far_px, -near_px)
-    scene, known = measured_scene(load_measured(photographs[number]), mask, blur_px, _SIZE, random)
+    channels = range(3) if random.random() < _COLOUR_SHARE else [None]
+    measured = load_measured(photographs[number])
+    seen = [
+        # The same part of it in all channels.
+        measured_scene(measured, mask, blur_px, _SIZE, copy.deepcopy(random), channel)
+        for channel in channels
+    ]
+    scene, known = seen[0]
     depth_m = np.where(known, scene.depth_m(), np.nan)
-    range_m = _wider(depth_m, random)
-    return _View(PHOTOGRAPH, scene.coded(), depth_m, range_m, scene.camera, number)
+    coded = np.dstack([each.coded() for each, _ in seen]).squeeze()
+    return _View(PHOTOGRAPH, coded, depth_m, _wider(depth_m, random), scene.camera, number)
 
 
 def _coded_view(number: int, folder: Path, mask: str) -> _View:
@@ -147,31 +206,25 @@ def measure_coded(index: int, photographs: Sequence[Path]) -> np.ndarray | None:
     noise, mask, (number, folder) = next(itertools.islice(cases, index, None))
     view = _coded_view(number, folder, mask)
     random = np.random.default_rng([97, index])
-    return _places(view, view.camera, view.coded, noise, random, index)
+    return _places(view, view.camera, noise, random, index)
 
 
 def _places_of_recording(
     view: _View, noise: float, random: np.random.Generator, index: int
 ) -> np.ndarray | None:
-    """Places of a view in grey or colour, in a third of all with a bank that is slightly wrong."""
+    """Places of a view, in a third of all with a bank that is slightly wrong."""
     camera = view.camera
     if random.random() < _MISFIT_SHARE:
         wrong = camera.mask_extent_mm * (1 + _MISFIT * random.standard_normal())
         camera = dataclasses.replace(camera, mask_extent_mm=wrong)
-    coded = np.dstack([view.coded] * 3) if random.random() < 0.5 else view.coded
-    return _places(view, camera, coded, noise, random, index)
+    return _places(view, camera, noise, random, index)
 
 
 def _places(
-    view: _View,
-    camera: Camera,
-    coded: np.ndarray,
-    noise: float,
-    random: np.random.Generator,
-    index: int,
+    view: _View, camera: Camera, noise: float, random: np.random.Generator, index: int
 ) -> np.ndarray | None:
     """Places of a view, with the bank of a camera."""
-    frame = np.clip(SensorModel(noise).expose(coded, random), 0, None)
+    frame = np.clip(SensorModel(noise).expose(view.coded, random), 0, None)
     try:
         bank = learn_bank_for_camera(camera, *view.range_m, _LEVELS)
     except InputError:  # too shallow
@@ -185,33 +238,26 @@ def _places(
         estimator.run_back(work)
     cells = Cells.covering(view.depth_m.shape, work.observation.grid)
     estimator.close()
-    return choose_places(
-        cells, inputs[0], np.asarray(work.depth_m), view.depth_m, view.kind, view.group, index
-    )
+    return _choose_places(cells, inputs[0], work.estimate(), view, index)
 
 
-def choose_places(
-    cells: Cells,
-    features: np.ndarray,
-    depth_m: np.ndarray,
-    truth_m: np.ndarray,
-    kind: int,
-    group: int,
-    index: int,
+def _choose_places(
+    cells: Cells, features: np.ndarray, found: DepthEstimate, view: _View, index: int
 ) -> np.ndarray:
-    """Some half-cells of a frame whose truth is known all over [features + 4, places]."""
+    """Some half-cells of a frame whose truth is known all over [features + 5, places]."""
     with np.errstate(invalid="ignore"):
-        error = np.abs(depth_m / truth_m - 1)
-        shares = [_share(cells, error <= bound) for bound in (_RIGHT, 2 * _RIGHT)]
-    whole = _share(cells, np.isfinite(truth_m)) == 1
-    labels = [*shares, np.full(whole.shape, kind), np.full(whole.shape, group)]
-    places = np.concatenate([features, labels])[:, whole]
+        error = np.abs(found.depth_m - view.depth_m)
+        shares = [_share(cells, error <= bound * view.depth_m) for bound in (_RIGHT, 2 * _RIGHT)]
+        deviations = _share(cells, error / found.std_dev_m)
+    whole = _share(cells, np.isfinite(view.depth_m)) == 1
+    kinds = (np.full(whole.shape, number) for number in (view.kind, view.group))
+    places = np.concatenate([features, [*shares, deviations, *kinds]])[:, whole]
     chosen = np.random.default_rng(index).permutation(places.shape[1])[:_PLACES]
     return np.asarray(places[:, chosen], np.float32)
 
 
 def _share(cells: Cells, where: np.ndarray) -> np.ndarray:
-    """Share of the pixels of every half-cell; those beyond the frame do not count as such."""
+    """Mean over the pixels of every half-cell, or their share; those beyond the frame are 0."""
     height, width = where.shape
     whole = np.zeros((cells.rows * 2 * HALF_CELL_PX, cells.columns * 2 * HALF_CELL_PX))
     whole[-cells.top : height - cells.top, -cells.left : width - cells.left] = where

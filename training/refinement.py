@@ -16,7 +16,7 @@ from scenes import FIRST_RARE_SHARD, SCENES
 from shards import Arrays
 from states import averaged_weights, check_enough
 from task import Options, Task
-from weights_file import package_weights, read_weights
+from weights_file import read_weights
 
 from coded_aperture_ros.calibration.fine_tuning.frames import BATCH, Frame, batches, score
 from coded_aperture_ros.calibration.fine_tuning.loop import Problem, Schedule, on_device
@@ -31,8 +31,6 @@ from coded_aperture_ros.calibration.fine_tuning.onnx_form import fold, renormali
 from coded_aperture_ros.calibration.fine_tuning.weights import network_arrays, network_of_arrays
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network import network as package
-from coded_aperture_ros.depth.decoders.network.features import BLUR_SIZES_PX
-from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 
 _RATE = 2e-3
 _FURTHER_RATE = 6e-4
@@ -45,8 +43,6 @@ _FORMER_SHARE = 0.3
 # One frame in so many of a few shards tells the ranges of the layers as well.
 _QUANTISED_EVERY = 3
 _QUANTISED_SHARDS = 4
-# Least tolerance, px: its logarithm must be finite.
-_LEAST_PX = 1e-3
 
 
 def load_frames(folder: Path, shards: tuple[int, ...], least_told: float = 0.0) -> list[Frame]:
@@ -136,13 +132,10 @@ class RefinementTask(Task):
         return inputs
 
     def calibration(self, options: Options) -> dict[str, Any]:
-        frames = load_frames(options.folder, options.held_back)
-        check_enough(frames, frames, 1, 1)
         places = frame_places(options.weights, options.folder, options.frames, options.processes)
+        former = package.Calibration.from_weights(read_weights(options.weights, package)).deviation
         calibration = confidence_calibration(places)
-        with package_weights(options.weights, package):
-            found = [frame_errors(frame) for frame in frames]
-        return calibration_arrays(deviation_calibration(found, calibration))
+        return calibration_arrays(deviation_calibration(places, calibration, former))
 
 
 class TeacherTask(RefinementTask):
@@ -186,23 +179,3 @@ class _Loss:
             of_teacher = self.teacher(*given)
         parts["taught"] = divergence(outputs, of_teacher, batch, counted * taught)
         return of_truth.mean() * weighted_sum(parts) + taught.mean() * parts["taught"], parts
-
-
-def frame_errors(frame: Frame) -> Arrays:
-    """What is found of every half-cell of a frame, and how wrong it is, px.
-
-    `features` of the confidence; the `tolerance`, which is 5 % of the depth; the `error` of the
-    blur size, and its `deviation` without calibration.
-    """
-    logits = frame.run(package.Network(frame.tried, Workers()))
-    found = HalfCells.from_logits(logits, BLUR_SIZES_PX[frame.tried].astype(np.float32))
-    truth = frame.true_blur_px()[2::4, 2::4]
-    tolerance = 0.05 * np.abs(frame.infinity_px - np.sign(truth) * found.size_px)
-    known = np.maximum(np.nan_to_num(tolerance), _LEAST_PX).astype(np.float32)
-    arrays = {
-        "features": found.confidence_features(known),
-        "tolerance": tolerance,
-        "error": np.abs(found.size_px - np.abs(truth)),
-        "deviation": found.deviation_px(),
-    }
-    return {name: values[..., np.isfinite(truth)] for name, values in arrays.items()}

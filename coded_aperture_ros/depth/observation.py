@@ -9,6 +9,7 @@ from coded_aperture_ros.frames import (
     GreyNoise,
     KnownNoise,
     PatchGrid,
+    grey_image,
     grey_noise,
     usable_windows,
     window_brightness,
@@ -21,8 +22,10 @@ class Observation:
 
     Attributes
     ----------
+    light : ndarray, float32 [height, width] or [height, width, C]
+        Of the frame's channels, linear, without NaN.
     grey : ndarray, float32 [height, width]
-        Mean of the channels, linear light, without NaN.
+        Mean of the channels.
     grid : PatchGrid
         Positions of the patches.
     brightness : ndarray, float32 [rows, columns]
@@ -31,52 +34,59 @@ class Observation:
         Patches with next to no saturated or missing pixels.
     noise : GreyNoise
         Of `grey`.
-    channels : int
-        Channels that `grey` is the mean of.
     unusable : ndarray, bool [height, width], or None
         Saturated and missing pixels; None if there are none.
     """
 
+    light: FloatArray
     grey: FloatArray
     grid: PatchGrid
     brightness: FloatArray
     usable: BoolArray
     noise: GreyNoise
-    channels: int
     unusable: BoolArray | None = None
 
     @classmethod
-    def from_grey(
+    def from_light(
         cls,
-        grey: FloatArray,
-        unusable: BoolArray | None,
+        light: FloatArray,
+        saturation: float,
         grid: PatchGrid,
         known: KnownNoise,
-        channels: int,
         least_noise: float = 0.0,
     ) -> "Observation":
         """Observation of a frame.
 
         Parameters
         ----------
-        grey, unusable : ndarray
-            As `grey_image` returns them.
+        light : ndarray, float32 [height, width] or [height, width, C]
+            Linear; NaN where missing.
+        saturation : float
+            Brightness from which pixels are not used.
         grid : PatchGrid
         known : KnownNoise
             Of one channel.
-        channels : int
         least_noise : float
             Lower bound of the standard deviation of `grey`'s noise, linear light. Averaging the
             channels does not lower it: the error of compression is the same in all of them.
         """
+        grey, unusable = grey_image(light, saturation)
         brightness = window_brightness(grey, grid)
         usable = np.full(brightness.shape, True)
         if unusable is not None:
             usable = usable_windows(unusable, grid)
+            filler = grey if light.ndim == 2 else grey[..., None]
+            light = np.where(np.isfinite(light), light, filler)
+        channels = 1 if light.ndim == 2 else light.shape[2]
         noise = grey_noise(grey, grid, known, channels, brightness, usable)
         if noise.sigma < least_noise:
             noise = dataclasses.replace(noise, sigma=least_noise)
-        return cls(grey, grid, brightness, usable, noise, channels, unusable)
+        return cls(light, grey, grid, brightness, usable, noise, unusable)
+
+    @property
+    def channels(self) -> int:
+        """Channels that `grey` is the mean of."""
+        return 1 if self.light.ndim == 2 else self.light.shape[2]
 
     @property
     def channel_noise(self) -> float:

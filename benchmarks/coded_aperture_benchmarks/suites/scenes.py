@@ -22,6 +22,7 @@ from coded_aperture_benchmarks.metrics.dense import (
     score,
     score_rods,
 )
+from coded_aperture_benchmarks.pictures import frames_and_depths
 from coded_aperture_benchmarks.rows import mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.suites.scenes_tables import NAMES, order, text_of
@@ -29,6 +30,7 @@ from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_plan
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.io import write_image
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
 from coded_aperture_ros.metrics import Reliability
 from coded_aperture_ros.metrics.figures import reliability_diagram
@@ -105,6 +107,8 @@ class Maps:
 
     Attributes
     ----------
+    coded : ndarray, float32 [frames, rows, columns(, 3)]
+        What was given, with its noise.
     depth_m, published_m, std_dev_m, confidence, truth_m : ndarray, float32 [frames, rows, columns]
         Published is what is confident.
     near_edge : ndarray of bool, of the same shape
@@ -116,6 +120,7 @@ class Maps:
         Estimated noise of each frame, and how long it took.
     """
 
+    coded: NDArray[np.float32]
     depth_m: NDArray[np.float32]
     published_m: NDArray[np.float32]
     std_dev_m: NDArray[np.float32]
@@ -150,13 +155,14 @@ class Maps:
 class Measured:
     """The numbers of a cell, for JSON, and the reliability of its confidence.
 
-    `maps` is None unless the cell's scene is pooled with others.
+    `maps` is None unless the cell's scene is pooled with others, `picture` where it is.
     """
 
     cell: Cell
     row: Row
     reliability: Reliability
     maps: Maps | None = None
+    picture: NDArray[np.uint8] | None = None
 
 
 def _cells(args: options.Args) -> list[Cell]:
@@ -201,8 +207,20 @@ def measure(cell: Cell) -> Measured:
     """Measure one scene through one mask."""
     maps = _estimated(cell)
     row = _row(cell, cell.scene.name, maps)
-    kept = maps if isinstance(cell.scene, RandomScene) else None
-    return Measured(cell, row, maps.reliability(), kept)
+    if isinstance(cell.scene, RandomScene):
+        return Measured(cell, row, maps.reliability(), maps=maps)
+    return Measured(cell, row, maps.reliability(), picture=_picture(maps))
+
+
+def _picture(maps: Maps) -> NDArray[np.uint8]:
+    """Draw the first frame and its depth: true, found, and what is confident of it."""
+    depths_m = {
+        "true": maps.truth_m[0],
+        "every pixel": maps.depth_m[0],
+        "published": maps.published_m[0],
+    }
+    ends_m = float(np.nanmin(maps.truth_m[0])), float(np.nanmax(maps.truth_m[0]))
+    return frames_and_depths({"coded": maps.coded[0]}, depths_m, ends_m)
 
 
 def _estimated(cell: Cell) -> Maps:
@@ -213,14 +231,16 @@ def _estimated(cell: Cell) -> Maps:
     # A bank that was learned from planes knows their depths, and not this camera.
     camera = None if cell.planes else views[0].camera
     random = np.random.default_rng(cell.seed)
-    estimates = []
+    estimates, coded = [], []
     with predictor(bank, config, camera) as predict:
         for view in views:
             noise = cell.noise * random.standard_normal(view.coded.shape, dtype=np.float32)
-            estimates.append(predict((view.coded + noise).astype(np.float32)))
+            coded.append((view.coded + noise).astype(np.float32))
+            estimates.append(predict(coded[-1]))
     threshold = cell.config.confidence_threshold
     # With a camera or planes there are depths.
     return Maps(
+        np.stack(coded),
         np.stack([np.asarray(each.depth_m) for each in estimates]),
         np.stack([np.asarray(each.where_confident(threshold).depth_m) for each in estimates]),
         np.stack([np.asarray(each.std_dev_m) for each in estimates]),
@@ -332,6 +352,10 @@ def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
         curves[f"{len(pool)} {', '.join(kind)}"] = maps.reliability()
     title = f"depth right to {100 * RIGHT_WITHIN:g} %"
     reliability_diagram(curves, folder / "reliability.png", title)
+    for each in measured:
+        if each.picture is not None:
+            name = "_".join(each.row[name] for name in NAMES)
+            write_image(folder / f"{name}.jpg", each.picture)
 
 
 SUITE = Suite(

@@ -2,13 +2,10 @@
 
 import dataclasses
 
-import numpy as np
-
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
-from coded_aperture_ros.frames import grey_image
 from coded_aperture_ros.likelihood import ChannelLikelihood
 
 LAYERS: tuple[LayerSpec, ...] = ()
@@ -63,15 +60,14 @@ class Observe(Stage):
 
     def __call__(self, work: Work) -> None:
         """Set observation and grey image."""
-        frame = work.frame
-        grey, unusable = grey_image(frame.light, self.saturation)
+        plan, frame = self.plan, work.frame
         least_noise = max(self.least_noise, frame.compression_noise)
-        work.observation = Observation.from_grey(
-            grey, unusable, self.plan.grid, self.plan.known_noise, frame.channels, least_noise
+        work.observation = Observation.from_light(
+            frame.light, self.saturation, plan.grid, plan.known_noise, least_noise
         )
-        work.grey = grey
-        if isinstance(self.plan.likelihood, ChannelLikelihood) and frame.channels > 1:
-            work.channels = np.where(np.isfinite(frame.light), frame.light, grey[..., None])
+        work.grey = work.observation.grey
+        if isinstance(plan.likelihood, ChannelLikelihood) and frame.channels > 1:
+            work.channels = work.observation.light
 
     def both_ways(self, block: Block) -> None:
         """Observe the frames that no earlier block had."""

@@ -122,7 +122,7 @@ class Drawing:
     size : (int, int)
         Rows and columns of the maps.
     quarters : ndarray, int [2 rows, 2 columns]
-        Half-cell whose value each quarter of a half-cell has; see `chosen_neighbours`.
+        Half-cell whose value each quarter of a half-cell has; see `Guide.owners`.
     """
 
     cells: Cells

@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, Shape
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.bilateral import Guide
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells, Drawing
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
@@ -20,7 +21,7 @@ from coded_aperture_ros.depth.decoders.network.features import (
     tried_sizes,
 )
 from coded_aperture_ros.depth.decoders.network.network import Logits, Network
-from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.levels import Folding, Levels
 from coded_aperture_ros.depth.observation import Observation
@@ -168,12 +169,17 @@ class NetworkDecoder:
         cells = Cells.covering(observation.grey.shape, observation.grid)
         features, frame = self.inputs(observation, volume, frame_cost, cells)
         logits = self._network(features, frame)
-        half_cells = HalfCells.from_logits(logits, self._tried_px, self._workers)
+        alone = HalfCells.from_logits(logits, self._tried_px, self._workers)
+        guide = Guide.from_light(observation.light, cells)
+        half_cells = alone.agreed(guide, self._workers)
         far = self._far_probability(half_cells.size_px, volume, cells)
-        level, confidence, side_confidence, checked = self._rate(half_cells, far)
+        level, tolerance_px, possible = self._rate(half_cells.size_px, far)
         calibration = self._network.calibration
+        confidence = possible * calibration.confidence(half_cells.confidence_features(tolerance_px))
+        _, tolerance_px, possible = self._rate(alone.size_px, far)
+        checked = possible * self._network.checked.confidence(alone.own_features(tolerance_px))
         deviation = half_cells.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
-        drawing = Drawing(cells, size, chosen_neighbours(logits.neighbour))
+        drawing = Drawing(cells, size, guide.owners())
         one_surface = _ONE_SURFACE_PX * float(self._scale.levels_per_px)
         confidence_map = drawing.render_map(confidence, _ONE_CONFIDENCE)
         flat = volume.max(axis=-1) <= _BLANK_COST
@@ -187,7 +193,7 @@ class NetworkDecoder:
             confidence=confidence_map,
             side_confidence=None
             if self._sides is None
-            else drawing.render_map(side_confidence, _ONE_CONFIDENCE),
+            else drawing.render_map(np.maximum(far, 1 - far), _ONE_CONFIDENCE),
             logits=logits,
             features=features,
             half_cells=half_cells,
@@ -222,11 +228,11 @@ class NetworkDecoder:
         return features, frame_features(context, cells)
 
     def _rate(
-        self, half_cells: HalfCells, far: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Level, confidence, side confidence and what is checked; [rows, columns] each."""
+        self, size_px: FloatArray, far: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Level, its tolerance, and how possible blur sizes and sides are; [rows, columns] each."""
         sizes_px = self._scale.sizes_px
-        signed_px = np.where(far >= 0.5, half_cells.size_px, -half_cells.size_px)
+        signed_px = np.where(far >= 0.5, size_px, -size_px)
         level = self._scale.level(signed_px)
         tolerance_px = self._scale.tolerance_px[np.rint(level).astype(np.intp)]
         # One side may reach farther than the other.
@@ -234,14 +240,10 @@ class NetworkDecoder:
             signed_px - np.clip(signed_px, float(sizes_px.min()), float(sizes_px.max()))
         )
         possible = (beyond_px <= BLUR_STEP_PX).astype(np.float32)
-        side_confidence = np.maximum(far, 1 - far)
         if self._sides is not None:
             # Where both sides' depths are about the same, either is right.
-            possible *= np.where(self._sides.is_ambiguous(level), 1, side_confidence)
-        features = half_cells.confidence_features(tolerance_px)
-        confidence = possible * self._network.calibration.confidence(features)
-        checked = possible * self._network.checked.confidence(features[:3])
-        return level, confidence, side_confidence, checked
+            possible *= np.where(self._sides.is_ambiguous(level), 1, np.maximum(far, 1 - far))
+        return level, tolerance_px, possible
 
     @property
     def _near_share(self) -> float:

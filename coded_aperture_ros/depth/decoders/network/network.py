@@ -94,8 +94,6 @@ add_up = Compiled(_add_up_loop, _add_up_plain)
 
 
 WEIGHTS = "refinement.npz"
-# Neighbours around a half-cell, with itself, that a quarter of it may belong to.
-NEIGHBOURS = 9
 # The first and last layer are run for so many blur sizes, or rows of cells, at a time: few large
 # calls, but not much more than a core's cache holds.
 _SIZES = 4
@@ -111,9 +109,6 @@ class Logits:
     size: FloatArray  # [tried, rows, columns]; logits of the blur sizes that were tried
     # [rows, columns]; logarithm of the mean error in px, if the likeliest blur size is about right.
     log_width: FloatArray
-    # [4, rows, columns]; for each quarter of a half-cell, which of the nine half-cells around has
-    # its blur size; row by row, 4 is itself.
-    neighbour: NDArray[np.uint8]
     cells: FloatArray  # [channels, rows, columns]; input of the last layer, of every cell
 
 
@@ -149,10 +144,7 @@ class Network:
         )
         # The last of the blur sizes' rows is the width; each is four, one of every half-cell.
         rows = np.repeat(np.append(tried, True), 4)
-        self._weights, self._bias = (
-            np.concatenate([arrays[f"size_{name}"][rows], arrays[f"choice_{name}"]])
-            for name in ("weights", "bias")
-        )
+        self._weights, self._bias = (arrays[f"size_{name}"][rows] for name in ("weights", "bias"))
         first, last = np.flatnonzero(tried)[[0, -1]]
         self._tried = slice(int(first), int(last) + 1)
         self._trust = as_floats(arrays["trust"])
@@ -174,22 +166,17 @@ class Network:
         cost_logits = (self._trust @ of_kinds.reshape(len(of_kinds), -1)).reshape(-1, *shape)
         count = len(of_level)
         size = np.empty((count + 1, 2 * shape[0], 2 * shape[1]), np.float32)
-        neighbour = np.empty((4, *size.shape[1:]), np.uint8)
 
         def last_layer(first: int, _: int) -> None:
             some = cells[:, first : first + _ROWS]
             outputs = self._weights @ some.reshape(len(some), -1)
             outputs += self._bias[:, None]
             outputs = outputs.reshape(-1, *some.shape[1:])
-            size_channels, choice_channels = np.split(outputs, [4 * (count + 1)])
-            add_up(size_channels, of_level, cost_logits, first, size)
-            half_rows = np.s_[:, 2 * first : 2 * (first + _ROWS)]
-            size[count:][half_rows] = to_half_cells(size_channels[-4:])
-            choice = _likeliest(choice_channels.reshape(4, NEIGHBOURS, 4, *some.shape[1:]))
-            neighbour[half_rows] = to_half_cells(choice.reshape(-1, *some.shape[1:]))
+            add_up(outputs, of_level, cost_logits, first, size)
+            size[count:, 2 * first : 2 * (first + _ROWS)] = to_half_cells(outputs[-4:])
 
         self._workers.each(last_layer, range(0, shape[0], _ROWS))
-        return Logits(size[:count], size[count], neighbour, cells)
+        return Logits(size[:count], size[count], cells)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -231,17 +218,6 @@ class _FirstLayer:
 
         workers.each(add_sizes, range(0, len(outputs), _SIZES))
         return outputs.reshape(*outputs.shape[:2], rows, columns)
-
-
-def _likeliest(logits: FloatArray) -> NDArray[np.uint8]:
-    """Index of the largest along the second axis; `argmax` takes four times as long."""
-    best = logits[:, 0].copy()
-    which = np.zeros(best.shape, np.uint8)
-    for index in range(1, logits.shape[1]):
-        better = logits[:, index] > best
-        np.maximum(which, better * np.uint8(index), out=which)
-        np.maximum(best, logits[:, index], out=best)
-    return which
 
 
 # Least distance of probabilities from 0 and 1: the logarithm must be finite.

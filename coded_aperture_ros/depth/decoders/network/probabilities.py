@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds, to_half_cells
+from coded_aperture_ros.depth.decoders.network.bilateral import Guide, count_votes
+from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds
 
 # Bins on either side of the likeliest that the blur size is the mean over.
 REACH = 2
@@ -28,7 +29,13 @@ _AROUND = (13, 13), (33, 33)
 _CHUNK = 5376
 
 
-def _describe_loop(padded: FloatArray, tried_px: FloatArray, results: FloatArray) -> None:
+def _describe_loop(
+    padded: FloatArray,
+    tried_px: FloatArray,
+    results: FloatArray,
+    first: IndexArray,
+    shares: FloatArray,
+) -> None:
     levels, count = len(tried_px), padded.shape[1]
     largest, best = np.zeros(count, np.float32), np.zeros(count, np.int32)
     total, mean = np.zeros(count, np.float32), np.zeros(count, np.float32)
@@ -51,13 +58,21 @@ def _describe_loop(padded: FloatArray, tried_px: FloatArray, results: FloatArray
         for at in range(2 * REACH + 1):
             about += padded[best[x] + at, x]
             off += np.float32(at - REACH) * padded[best[x] + at, x]
+            shares[x, at] = padded[best[x] + at, x] / total[x]
         size = tried_px[best[x]] + off / about * step
         variance = (square[x] - 2 * mean[x] * size) / total[x] + size * size
         results[0, x], results[1, x] = size, about / total[x]
-        results[2, x] = np.sqrt(max(variance, np.float32(0)))
+        results[2, x], results[3, x] = np.sqrt(max(variance, np.float32(0))), mean[x] / total[x]
+        first[x] = best[x]
 
 
-def _describe_plain(padded: FloatArray, tried_px: FloatArray, results: FloatArray) -> None:
+def _describe_plain(
+    padded: FloatArray,
+    tried_px: FloatArray,
+    results: FloatArray,
+    first: IndexArray,
+    shares: FloatArray,
+) -> None:
     probability = padded[REACH:-REACH]
     steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
     together = padded[REACH - 1 : -REACH - 1] + probability
@@ -68,13 +83,34 @@ def _describe_plain(padded: FloatArray, tried_px: FloatArray, results: FloatArra
     size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
     sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
     total, mean, square = sums @ probability
-    square = (square - 2 * mean * size) / total + size**2
-    results[:] = size, about / total, np.sqrt(np.maximum(square, 0))
+    mean /= total
+    square = square / total - 2 * mean * size + size**2
+    results[:] = size, about / total, np.sqrt(np.maximum(square, 0)), mean
+    first[:], shares[:] = best, (around / total).T
 
 
-# Writes size, probability and spread (see `HalfCells`) [3, n] of probabilities, up to a factor, of
-# the tried blur sizes, with `REACH` zeros before and after [tried + 2 REACH, n].
+# Writes size, probability, spread (see `HalfCells`) and mean [4, n], and `Votes`, of probabilities,
+# up to a factor, of the tried blur sizes, with `REACH` zeros before and after [tried + 2 REACH, n].
 describe = Compiled(_describe_loop, _describe_plain)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Votes:
+    """What every half-cell finds likely by itself.
+
+    Attributes
+    ----------
+    first : ndarray, int [rows, columns]
+        The first of the bins around its likeliest three; bin `REACH` is the first tried one.
+    shares : ndarray, float32 [rows, columns, 2 REACH + 1]
+        Probability of these bins.
+    mean_px : ndarray, float32 [rows, columns]
+        Mean of the whole distribution.
+    """
+
+    first: IndexArray
+    shares: FloatArray
+    mean_px: FloatArray
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,6 +131,8 @@ class HalfCells:
         Of every tried blur size.
     tried_px : ndarray, float32 [tried]
         The tried blur sizes.
+    votes : Votes, optional
+        What each finds likely, for `agreed`.
     """
 
     size_px: FloatArray
@@ -103,6 +141,7 @@ class HalfCells:
     width_px: FloatArray
     logits: FloatArray
     tried_px: FloatArray
+    votes: Votes | None = None
 
     @classmethod
     def from_logits(
@@ -110,33 +149,59 @@ class HalfCells:
     ) -> "HalfCells":
         """Half-cells of the network's output; `workers` share the work."""
         flat = logits.size.reshape(len(tried_px), -1)
-        results = np.empty((3, flat.shape[1]), np.float32)
+        results = np.empty((4, flat.shape[1]), np.float32)
+        first = np.empty(flat.shape[1], np.intp)
+        shares = np.empty((flat.shape[1], 2 * REACH + 1), np.float32)
 
-        def add_chunk(first: int, _: int) -> None:
-            some = flat[:, first : first + _CHUNK]
+        def add_chunk(start: int, _: int) -> None:
+            chunk = slice(start, start + _CHUNK)
+            some = flat[:, chunk]
             padded = np.zeros((len(some) + 2 * REACH, some.shape[1]), np.float32)
             np.exp(some - some.max(axis=0), out=padded[REACH:-REACH])
-            describe(padded, tried_px, results[:, first : first + _CHUNK])
+            describe(padded, tried_px, results[:, chunk], first[chunk], shares[chunk])
 
         (workers or Workers()).each(add_chunk, range(0, flat.shape[1], _CHUNK))
         width = np.exp(np.clip(logits.log_width, *_LOG_WIDTHS))
-        size, about, spread = results.reshape(3, *width.shape)
-        return cls(size, about, spread, width, logits.size, tried_px)
+        size, about, spread, mean = results.reshape(4, *width.shape)
+        votes = Votes(first.reshape(width.shape), shares.reshape(*width.shape, -1), mean)
+        return cls(size, about, spread, width, logits.size, tried_px, votes)
+
+    def agreed(self, guide: Guide, workers: Workers | None = None) -> "HalfCells":
+        """Half-cells with what those of like colour around find the likeliest together."""
+        votes = self.votes
+        if votes is None:
+            raise ValueError("only half-cells from logits can agree")
+        bins = len(self.tried_px) + 2 * REACH
+        place, about = count_votes(votes.first, votes.shares, bins, guide, workers)
+        size = self.tried_px[0] + (place - REACH) * (self.tried_px[1] - self.tried_px[0])
+        # The second moment about another size.
+        apart = self.size_px - size
+        square = self.spread_px**2 + apart * (2 * votes.mean_px - self.size_px - size)
+        spread = np.sqrt(np.maximum(square, 0))
+        return dataclasses.replace(self, size_px=size, about=about, spread_px=spread)
 
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
         """Probability that the error is within a tolerance [rows, columns]."""
         return np.asarray(self.about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
 
+    def own_features(self, tolerance_px: FloatArray) -> FloatArray:
+        """Features of each half-cell alone, float32 [features, rows, columns].
+
+        Log-odds that the error is within the tolerance, blur size, and logarithm of the tolerance.
+        """
+        odds = log_odds(self.right_within(tolerance_px))
+        return np.stack([odds, self.size_px, np.log(tolerance_px)])
+
     def confidence_features(self, tolerance_px: FloatArray) -> FloatArray:
         """Features that confidence is calibrated by, float32 [features, rows, columns].
 
-        Log-odds that the error is within the tolerance, blur size, tolerance; the log-odds around;
-        and how much more and less blurred neighbours are, in tolerances.
+        Those of each half-cell alone; the log-odds around; and how much more and less blurred
+        neighbours are, in tolerances.
         """
-        size, odds = self.size_px, log_odds(self.right_within(tolerance_px))
-        means = (cv2.blur(odds, side) for side in _AROUND)
+        own, size = self.own_features(tolerance_px), self.size_px
+        means = (cv2.blur(own[0], side) for side in _AROUND)
         apart = np.abs([turn(size, _SQUARE) - size for turn in (cv2.dilate, cv2.erode)])
-        return np.stack([odds, size, np.log(tolerance_px), *means, *np.log1p(apart / tolerance_px)])
+        return np.stack([*own, *means, *np.log1p(apart / tolerance_px)])
 
     def deviation_px(self) -> FloatArray:
         """Standard deviation of the blur size [rows, columns]: 68 % of errors are within it."""
@@ -166,15 +231,3 @@ class HalfCells:
             left -= each
             rank += left > 0
         return self.tried_px[rank]
-
-
-def chosen_neighbours(neighbour: NDArray[np.uint8]) -> IndexArray:
-    """Half-cell whose blur size each quarter of a half-cell has [2 rows, 2 columns].
-
-    Flat indices into the half-cells with a border of one, from `Logits.neighbour` [4, rows,
-    columns].
-    """
-    _, rows, columns = neighbour.shape
-    corner = np.add.outer((columns + 2) * np.arange(rows), np.arange(columns))
-    beyond = np.add.outer((columns + 2) * np.arange(3), np.arange(3)).ravel()
-    return np.asarray(to_half_cells(corner + beyond[neighbour])[0])
