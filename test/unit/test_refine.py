@@ -24,8 +24,8 @@ from coded_aperture_ros.depth.decoders.network.features import (
     frame_features,
     tried_sizes,
 )
-from coded_aperture_ros.depth.decoders.network.network import NEIGHBOURS, Logits, Network
-from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells, chosen_neighbours
+from coded_aperture_ros.depth.decoders.network.network import Logits, Network
+from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.decoders.network.small import SMALL_PX
 from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.frames import PatchGrid
@@ -179,7 +179,7 @@ def test_levels_of_both_sides_are_folded():
 def _logits(probability):
     probability = np.asarray(probability, np.float32)
     size = np.log(np.maximum(probability, 1e-9))[:, None, None]
-    return Logits(size, np.full((1, 1), -2.0, np.float32), np.full((4, 1, 1), 4), size)
+    return Logits(size, np.full((1, 1), -2.0, np.float32), size)
 
 
 def test_blur_size_is_the_mean_around_the_likeliest():
@@ -247,10 +247,9 @@ def test_maps_are_linear_within_surfaces_and_cut_at_edges():
     assert level[4:-4, 14] == pytest.approx((rows * 0.1 + (14.5 / 4 - 0.5) * 0.05)[4:-4], abs=1e-5)
     step = np.zeros((6, 8), np.float32)
     step[:, 4:] = 9
-    neighbour = np.full((4, 6, 8), 4)  # its own
-    for quarter in (1, 3):  # the right quarters of the last column before the step: the right one's
-        neighbour[quarter, :, 3] = 5
-    edge = upsample_half_cells(step, chosen_neighbours(neighbour), 0.8)
+    owners = nowhere.copy()
+    owners[:, 7] += 1  # the right quarters of the last column before the step: the right one's
+    edge = upsample_half_cells(step, owners, 0.8)
     assert set(np.unique(edge)) == {0, 9}
     assert (edge[:, :14] == 0).all() and (edge[:, 14:] == 9).all()
 
@@ -480,8 +479,6 @@ def test_network_runs_frames_of_any_size():
         costs = cost_features(looks, around, cells, np.linspace(2, 8, 9), 0.0)
         logits = network(costs, frame_features(around, cells))
         assert logits.size.shape == (tried.sum(), 2 * cells.rows, 2 * cells.columns)
-        assert logits.neighbour.shape == (4, 2 * cells.rows, 2 * cells.columns)
-        assert set(np.unique(logits.neighbour)) <= set(range(NEIGHBOURS))
         assert np.isfinite(logits.size).all()
 
 

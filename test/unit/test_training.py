@@ -218,7 +218,8 @@ def places_by_a_rule(count=12_000):
     probability = 1 / (1 + np.exp(-odds))
     right = random.random(count) < probability
     kind, group = random.integers(1, 5, count), random.integers(6, size=count)
-    return np.stack([*features, right, right, kind, group]).astype(np.float32), probability
+    errors = np.abs(random.normal(0, 0.8, count))
+    return np.stack([*features, right, right, errors, kind, group]).astype(np.float32), probability
 
 
 def test_calibration_finds_the_probabilities_that_places_were_made_with(
@@ -236,15 +237,8 @@ def test_calibration_finds_the_probabilities_that_places_were_made_with(
     assert printed.count("by the others: cross-entropy") == 4
     assert printed.count("fold") == 12
 
-    random = np.random.default_rng(1)
-    frame = {
-        "features": places[:7, :10_000],
-        "tolerance": np.full(10_000, 2, np.float32),
-        "error": np.abs(random.normal(0, 0.8, 10_000)),
-        "deviation": np.ones(10_000),
-    }
-    calibrated = calibration.deviation_calibration([frame, frame], found)
-    assert calibrated.deviation == pytest.approx(0.8, rel=0.05)
+    calibrated = calibration.deviation_calibration(places, found, np.float32(1.5))
+    assert calibrated.deviation == pytest.approx(0.8 * 1.5, rel=0.05)
     assert set(calibration.calibration_arrays(calibrated)) == {
         "confidence0",
         "confidence1",
@@ -296,7 +290,9 @@ def test_places_of_frames_are_measured_by_the_weights_of_a_file(
     monkeypatch.setattr(places, "_SIZE", (96, 128))
     write_photograph(tmp_path / "measured" / "square")
     found = places.frame_places(shipped, tmp_path, 1, 1)
-    features, (right, nearly, kind, group) = found[: -places.LABELS], found[-places.LABELS :]
+    features, labels = found[: -places.LABELS], found[-places.LABELS :]
+    right, nearly, deviations, kind, group = labels
+    assert 0.2 < np.median(deviations) < 3
     assert len(features) == 7 and found.shape[1] > 300 and np.isfinite(found).all()
     assert (right <= nearly).all() and np.mean(right) > 0.1 and nearly.max() == 1
     assert places.PHOTOGRAPH in kind and set(kind) <= {0, 1, 2, places.PHOTOGRAPH}

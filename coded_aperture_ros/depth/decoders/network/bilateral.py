@@ -11,7 +11,6 @@ belongs to the one of the nine around whose colour is the most like its own.
 
 import dataclasses
 import itertools
-from typing import Any
 
 import cv2
 import numpy as np
@@ -26,12 +25,20 @@ from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells
 # disparity; half or twice as much changes little.
 _BRIGHTNESS = 0.18
 _COLOUR = 0.047
-# Half-cells in each direction that vote: fewer where colours do not differ, as brightness alone
-# parts few surfaces.
+# Half-cells in each direction that vote, every second as on a chessboard: those beside each other
+# say about the same. Fewer where colours do not differ, as brightness alone parts few surfaces.
 _REACH = 5
 _GREY_REACH = 2
 # Squared difference of colour that outweighs a half-cell's distance.
 _DISTANCE = np.float32(0.05)
+_TO_OPPONENTS = np.stack(
+    [
+        np.ones(3) / 3 / _BRIGHTNESS,
+        np.array([1, -1, 0]) / np.sqrt(2) / _COLOUR,
+        np.array([1, 1, -2]) / np.sqrt(6) / _COLOUR,
+    ],
+    axis=1,
+).astype(np.float32)
 # Half-cells of so many rows are counted together.
 _ROWS = 8
 
@@ -55,12 +62,8 @@ class Guide:
     @classmethod
     def from_light(cls, light: FloatArray, cells: Cells) -> "Guide":
         """Guide of a frame, linear light [height, width] or [height, width, 3], without NaN."""
-        channels = np.atleast_3d(light)
-        whole = [cells.pad_frame(channels[..., each]) for each in range(channels.shape[2])]
-        half_cells, quarters = (
-            _opponents([_shrunk(each, step_px) for each in whole])
-            for step_px in (HALF_CELL_PX, HALF_CELL_PX // 2)
-        )
+        of_quarters = _shrunk(cells.pad_frame(light), HALF_CELL_PX // 2)
+        half_cells, quarters = map(_opponents, (_shrunk(of_quarters, 2), of_quarters))
         square = np.ones((2 * _REACH + 1,) * 2, np.uint8)
         differences = [cv2.dilate(one, square) - cv2.erode(one, square) for one in half_cells[1:]]
         reach = np.where(np.max(differences, axis=0) > 1, _REACH, _GREY_REACH)
@@ -68,43 +71,26 @@ class Guide:
 
     def owners(self) -> IndexArray:
         """Half-cell that each quarter of one belongs to, flat indices [2 rows, 2 columns]."""
-        _, rows, columns = self.half_cells.shape
-        bordered = np.pad(self.half_cells, ((0, 0), (1, 1), (1, 1)), mode="edge")
-        index = np.pad(np.arange(rows * columns).reshape(rows, columns), 1, mode="edge")
-        owner, least = np.empty((2 * rows, 2 * columns), np.intp), None
-        # A quarter's middle is a quarter of a half-cell beside that of its own.
-        down, right = (np.arange(2 * length) % 2 * 0.5 - 0.25 for length in (rows, columns))
-        for i, j in itertools.product((0, -1, 1), repeat=2):
-            there = np.s_[..., 1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
-            apart = self.quarters - _doubled(bordered[there])
-            distance = np.add.outer((i - down) ** 2, (j - right) ** 2).astype(np.float32)
-            unlike = np.einsum("kij,kij->ij", apart, apart) + _DISTANCE * distance
-            better = ... if least is None else unlike < least
-            owner[better] = _doubled(index[there])[better]
-            least = unlike if least is None else np.minimum(least, unlike)
+        owner = np.empty(self.quarters.shape[1:], np.intp)
+        _choose(self.half_cells, self.quarters, owner)
         return owner
 
 
-def _shrunk(picture: FloatArray, step_px: int) -> FloatArray:
-    """Square root of the means of squares: as much noise in the dark as in the light."""
-    size = picture.shape[1] // step_px, picture.shape[0] // step_px
-    return np.sqrt(np.maximum(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), 0))
+def _shrunk(picture: FloatArray, step: int) -> FloatArray:
+    """Means of squares of pixels."""
+    size = picture.shape[1] // step, picture.shape[0] // step
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _opponents(colours: list[FloatArray]) -> FloatArray:
+def _opponents(light: FloatArray) -> FloatArray:
     """Brightness, red less green, and yellow less blue [3, rows, columns]; of grey, brightness."""
-    brightness = np.mean(colours, axis=0) / _BRIGHTNESS
-    if len(colours) != 3:
-        nothing = np.zeros_like(brightness)
-        return np.stack([brightness, nothing, nothing]).astype(np.float32)
-    red, green, blue = colours
-    opponents = (red - green) / np.sqrt(2), (red + green - 2 * blue) / np.sqrt(6)
-    return np.stack([brightness, *(each / _COLOUR for each in opponents)]).astype(np.float32)
-
-
-def _doubled(values: Any) -> Any:
-    """Each value four times, in squares [..., 2 rows, 2 columns]."""
-    return np.repeat(np.repeat(values, 2, axis=-2), 2, axis=-1)
+    # Of square roots, which noise changes as much in the light as in the dark.
+    colours = np.sqrt(np.maximum(light, 0))
+    opponents = np.zeros((3, *light.shape[:2]), np.float32)
+    if light.ndim == 2 or light.shape[2] != 3:
+        opponents[0] = colours.reshape(*light.shape[:2], -1).mean(axis=-1) / _BRIGHTNESS
+        return opponents
+    return np.ascontiguousarray(np.moveaxis(colours @ _TO_OPPONENTS, -1, 0))
 
 
 def count_votes(
@@ -159,7 +145,8 @@ def _count_loop(
             total, reach = np.float32(0), reaches[y, x]
             for v in range(max(y - reach, 0), min(y + reach + 1, rows)):
                 aside = int(np.sqrt(reach * reach + 1 - (v - y) * (v - y)))
-                for u in range(max(x - aside, 0), min(x + aside + 1, columns)):
+                left = max(x - aside, 0)
+                for u in range(left + (left + v + x + y) % 2, min(x + aside + 1, columns), 2):
                     one = colours[0, v, u] - colours[0, y, x]
                     two = colours[1, v, u] - colours[1, y, x]
                     three = colours[2, v, u] - colours[2, y, x]
@@ -206,7 +193,8 @@ def _count_plain(
         rows = slice(some_rows[0] + _REACH + i, some_rows[1] + _REACH + i)
         columns = slice(_REACH + j, _REACH + j + first.shape[1])
         unlike = ((bordered[:, rows, columns] - colours[:, here]) ** 2).sum(axis=0)
-        weight = np.maximum(1 - unlike, 0) ** 4 * (i * i + j * j <= reach**2 + 1)
+        votes_here = (i * i + j * j <= reach**2 + 1) & ((i + j) % 2 == 0)
+        weight = np.maximum(1 - unlike, 0) ** 4 * votes_here
         counted += weight[..., None] * every[rows, columns]
         total += weight
     best = 1 + (counted[..., :-2] + counted[..., 1:-1] + counted[..., 2:]).argmax(axis=-1)
@@ -216,4 +204,40 @@ def _count_plain(
     about[here] = summed / total
 
 
+def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
+    _, rows, columns = colours.shape
+    for y in range(2 * rows):
+        for x in range(2 * columns):
+            i, j, least = y // 2, x // 2, np.float32(np.inf)
+            # A quarter's middle is a quarter of a half-cell beside that of its own.
+            down, right = np.float32(y % 2 * 0.5 - 0.25), np.float32(x % 2 * 0.5 - 0.25)
+            for v in range(max(i - 1, 0), min(i + 2, rows)):
+                for u in range(max(j - 1, 0), min(j + 2, columns)):
+                    unlike = _DISTANCE * ((v - i - down) ** 2 + (u - j - right) ** 2)
+                    for k in range(3):
+                        unlike += (colours[k, v, u] - of_quarters[k, y, x]) ** 2
+                    if unlike < least:
+                        owner[y, x], least = v * columns + u, unlike
+
+
+def _choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
+    _, rows, columns = colours.shape
+    beyond = (0, 0), (1, 1), (1, 1)
+    bordered = np.pad(colours, beyond, constant_values=np.inf)
+    index = np.pad(np.arange(rows * columns).reshape(rows, columns), 1)
+    down, right = (np.arange(2 * length) % 2 * 0.5 - 0.25 for length in (rows, columns))
+    least = np.full(owner.shape, np.inf, np.float32)
+    for i, j in itertools.product((-1, 0, 1), repeat=2):
+        there = np.s_[..., 1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
+        theirs, their_index = (
+            np.repeat(np.repeat(values[there], 2, axis=-2), 2, axis=-1)
+            for values in (bordered, index)
+        )
+        unlike = _DISTANCE * np.add.outer((i - down) ** 2, (j - right) ** 2).astype(np.float32)
+        unlike += ((theirs - of_quarters) ** 2).sum(axis=0)
+        better = unlike < least
+        owner[better], least = their_index[better], np.minimum(least, unlike)
+
+
 _count = Compiled(_count_loop, _count_plain)
+_choose = Compiled(_choose_loop, _choose_plain)
