@@ -9,11 +9,7 @@ import pytest
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.decoders.network.cells import draw
 from coded_aperture_ros.depth.decoders.network.network import add_up, gather_squares
-from coded_aperture_ros.depth.decoders.network.probabilities import (
-    REACH,
-    chosen_neighbours,
-    describe,
-)
+from coded_aperture_ros.depth.decoders.network.probabilities import REACH, describe
 from coded_aperture_ros.depth.decoders.semi_global import add_best_paths
 from coded_aperture_ros.depth.levels import look_up
 from coded_aperture_ros.likelihood.sliding import fold, slide
@@ -196,7 +192,7 @@ def test_both_forms_fold_the_same_windows(stride_px):
 def test_both_forms_draw_the_same(first, shape):
     pytest.importorskip("numba")
     values = np.pad(RANDOM.random((10, 14), dtype=np.float32), 1, mode="edge")
-    quarters = chosen_neighbours(RANDOM.integers(0, 9, (4, 10, 14)).astype(np.uint8))
+    quarters = RANDOM.integers(0, values.size, (20, 28))
     maps = [np.empty(shape, np.float32) for _ in range(3)]
     for one_surface in (0.0, 0.9, 2.0):
         for form, drawn in zip((draw, draw.plain, draw.loop), maps, strict=True):
@@ -210,11 +206,15 @@ def test_both_forms_describe_the_same():
     padded = np.zeros((12 + 2 * REACH, 50), np.float32)
     padded[REACH:-REACH] = np.exp(-RANDOM.exponential(3, (12, 50)))
     sizes_px = np.arange(2, 8, 0.5, dtype=np.float32)
-    found = [np.empty((3, 50), np.float32) for _ in range(3)]
-    for form, results in zip((describe, describe.plain, describe.loop), found, strict=True):
-        form(padded, sizes_px, results)
+    found = []
+    for form in (describe, describe.plain, describe.loop):
+        found.append(
+            (np.empty((4, 50), np.float32), np.empty(50, np.intp), np.empty((50, 5), np.float32))
+        )
+        form(padded, sizes_px, *found[-1])
     for results in found[1:]:
-        assert results == pytest.approx(found[0], abs=1e-5)
+        for one, other in zip(results, found[0], strict=True):
+            assert one == pytest.approx(other, abs=1e-5)
 
 
 def test_both_forms_look_up_the_same_depths():

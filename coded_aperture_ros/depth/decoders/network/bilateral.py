@@ -70,7 +70,10 @@ class Guide:
         return cls(half_cells, quarters, reach)
 
     def owners(self) -> IndexArray:
-        """Half-cell that each quarter of one belongs to, flat indices [2 rows, 2 columns]."""
+        """Half-cell that each quarter of one belongs to [2 rows, 2 columns].
+
+        Flat indices into the half-cells with a border of one.
+        """
         owner = np.empty(self.quarters.shape[1:], np.intp)
         _choose(self.half_cells, self.quarters, owner)
         return owner
@@ -217,14 +220,14 @@ def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray
                     for k in range(3):
                         unlike += (colours[k, v, u] - of_quarters[k, y, x]) ** 2
                     if unlike < least:
-                        owner[y, x], least = v * columns + u, unlike
+                        owner[y, x], least = (v + 1) * (columns + 2) + u + 1, unlike
 
 
 def _choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
     _, rows, columns = colours.shape
     beyond = (0, 0), (1, 1), (1, 1)
     bordered = np.pad(colours, beyond, constant_values=np.inf)
-    index = np.pad(np.arange(rows * columns).reshape(rows, columns), 1)
+    index = np.arange((rows + 2) * (columns + 2)).reshape(rows + 2, columns + 2)
     down, right = (np.arange(2 * length) % 2 * 0.5 - 0.25 for length in (rows, columns))
     least = np.full(owner.shape, np.inf, np.float32)
     for i, j in itertools.product((-1, 0, 1), repeat=2):
