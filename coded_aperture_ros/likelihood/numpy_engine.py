@@ -51,7 +51,7 @@ class NumpyEngine:
         self.plan = plan
         self.grid = grid = plan.grid
         self._workers = Workers(threads)
-        self._sliding = SlidingTransform(plan)
+        self._sliding = SlidingTransform(plan, threads)
         self._functions = np.empty((len(plan.features), grid.rows, grid.columns), np.float32)
         self._energies = np.zeros((plan.levels, grid.rows * grid.columns), np.float32)
         self._precision = np.empty((grid.rows, grid.columns), np.float32)

@@ -55,7 +55,10 @@ def test_both_forms_slide_the_same(window_px, stride_px, highest):
     places[0, 1] = places[1, highest] = -1
     found = [np.full((2 * (highest + 1), 3, 9), 7, np.float32) for _ in range(3)]
     for form, products in zip((slide, slide.plain, slide.loop), found, strict=True):
-        form(rows, waves, (window, np.float32(-0.25), np.float32(0.5)), stride_px, places, products)
+        sums = np.full((window_px // 2 + 3, 2, 32), 7, np.float32)
+        buffers = np.zeros((8, 32), np.float32), sums, np.zeros((2, 16), np.float32)
+        described = window, np.float32(-0.25), np.float32(0.5)
+        form(rows, waves, described, stride_px, places, buffers, products)
         left_out = [1, 2 * highest + 1]
         assert (products[left_out] == 7).all() and (np.delete(products, left_out, 0) != 7).all()
     for products in found[1:]:
