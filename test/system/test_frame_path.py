@@ -19,7 +19,7 @@ from coded_aperture_ros.optics.camera_file import camera_from_mapping
 
 # As reached, with a little room; fewer are better.
 MOST_LIBRARY_FILES = 74
-MOST_LIBRARY_LINES = 6290
+MOST_LIBRARY_LINES = 6310
 MOST_COMMAND_FILES = 7
 MOST_COMMAND_LINES = 900
 

@@ -209,18 +209,37 @@ def _count_plain(
 
 def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
     _, rows, columns = colours.shape
+    # A row at a time, neighbour by neighbour: loops over rows use a processor's vectors.
+    own, least = np.empty((3, columns), np.float32), np.empty(columns, np.float32)
+    found = np.empty(columns, np.int32)
     for y in range(2 * rows):
-        for x in range(2 * columns):
-            i, j, least = y // 2, x // 2, np.float32(np.inf)
-            # A quarter's middle is a quarter of a half-cell beside that of its own.
-            down, right = np.float32(y % 2 * 0.5 - 0.25), np.float32(x % 2 * 0.5 - 0.25)
-            for v in range(max(i - 1, 0), min(i + 2, rows)):
-                for u in range(max(j - 1, 0), min(j + 2, columns)):
-                    unlike = _DISTANCE * ((v - i - down) ** 2 + (u - j - right) ** 2)
-                    for k in range(3):
-                        unlike += (colours[k, v, u] - of_quarters[k, y, x]) ** 2
-                    if unlike < least:
-                        owner[y, x], least = (v + 1) * (columns + 2) + u + 1, unlike
+        i = y // 2
+        for right in range(2):
+            least[:] = np.float32(1e30)
+            for k in range(3):
+                for j in range(columns):
+                    own[k, j] = of_quarters[k, y, 2 * j + right]
+            for place in range(9):
+                v, side = i + place // 3 - 1, place % 3 - 1
+                if not 0 <= v < rows:
+                    continue
+                # A quarter's middle is a quarter of a half-cell beside that of its own.
+                down = np.float32(v - i) - np.float32(y % 2 * 0.5 - 0.25)
+                across = np.float32(side) - np.float32(right * 0.5 - 0.25)
+                near = _DISTANCE * (down * down + across * across)
+                first, last = max(-side, 0), columns - max(side, 0)
+                there = slice(first + side, last + side)
+                a, b, c = colours[0, v, there], colours[1, v, there], colours[2, v, there]
+                d, e, f = own[0, first:last], own[1, first:last], own[2, first:last]
+                best, which = least[first:last], found[first:last]
+                for j in range(last - first):
+                    one, two, three = a[j] - d[j], b[j] - e[j], c[j] - f[j]
+                    unlike = near + one * one + two * two + three * three
+                    which[j] = place if unlike < best[j] else which[j]
+                    best[j] = min(unlike, best[j])
+            for j in range(columns):
+                down, across = found[j] // 3, found[j] % 3
+                owner[y, 2 * j + right] = (i + down) * (columns + 2) + j + across
 
 
 def _choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
