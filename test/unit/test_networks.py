@@ -124,7 +124,7 @@ def test_the_calibration_is_in_the_weights_file(bank, seen, monkeypatch):
     found = []
     last = shipped.layers[-1].copy()
     last[0, -1] -= 1
-    other = {"confidence2": last, "deviation": 1.56}
+    other = {"confidence2": last, "deviation": 2 * shipped.deviation}
     for changed in ({}, other):
         monkeypatch.setattr(refinement, "read_shipped", lambda *_, new=changed: arrays | new)
         config = DepthConfig(noise=NOISE, confidence_threshold=0, check_fit=False)
