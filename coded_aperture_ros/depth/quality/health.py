@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_
 from coded_aperture_ros.optics import PsfStack
 
 SCHEMA = "coded-aperture check of fit"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # Name of each cause, its description and remedy; in the order of the network's outputs.
 CAUSES = {
     "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
@@ -133,7 +133,10 @@ class Health:
 def _weights() -> dict[str, FloatArray]:
     """Mean, scale, weights and biases of the networks [members, ...], by name."""
     arrays = read_shipped(__file__, "fit.npz", SCHEMA, SCHEMA_VERSION)
-    return {name: as_floats(array) for name, array in arrays.items() if array.ndim}
+    floats = {name: as_floats(array) for name, array in arrays.items() if array.ndim}
+    for layer in range(_LAYERS):  # whole numbers, with a scale for each row
+        floats[f"weight{layer}"] = floats[f"weight{layer}"] * floats.pop(f"weight{layer}_scale")
+    return floats
 
 
 def _outputs_of(features: FloatArray) -> FloatArray:
