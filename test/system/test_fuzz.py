@@ -21,6 +21,7 @@ from ros_helpers import Ros
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from small_camera import CAMERA, FAR_M, HEIGHT, NEAR_M, WIDTH, coded_wall
 from std_msgs.msg import Header
+from waiting import wait_until
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.frame import StampOrder
@@ -70,7 +71,14 @@ def nodes(folder):
     ros = Ros()
     given = {"camera_file": str(folder / "camera.yaml"), "bank": str(folder / "bank.npz")}
     given |= {"near_m": NEAR_M, "far_m": FAR_M, "lazy": False}
-    yield ros.make(DepthNode, {**given, "temporal.frames": 2.0}), ros.make(DeblurNode, given)
+    depth = ros.make(DepthNode, {**given, "temporal.frames": 2.0})
+    deblur = ros.make(DeblurNode, given)
+    # Their threads are done with the preparations once they have handled something: from here on
+    # frames are worked on in this thread alone.
+    for node, item in ((depth, (Image(), 0.0)), (deblur, (Image(), Image()))):
+        node.offer(item)
+        assert wait_until(lambda node=node: handled(node), 60)
+    yield depth, deblur
     ros.close()
 
 
