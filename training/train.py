@@ -12,7 +12,7 @@ steps, in this order:
   fit          fit for some minutes; goes on where it was stopped
   export       write the weights' file
   quantise     add the form in whole numbers for ONNX Runtime (refinement, blend)
-  calibrate    fit the constants of the weights' file on data held back (refinement, second)
+  calibrate    fit the constants of the weights' file (refinement, second)
 
 example:
   python training/train.py refinement data fit export quantise --folder build/training --minutes 75
