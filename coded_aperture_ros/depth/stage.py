@@ -19,7 +19,6 @@ from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import Health
-from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
 from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
 
@@ -142,11 +141,6 @@ class Work:
         if self.averaged_frames is None or self.channels is not None:
             return deviation
         return deviation / np.sqrt(frames_per_patch(self.averaged_frames, self.observation.grid))
-
-    @property
-    def map_grid(self) -> MapGrid:
-        """Where the pixels of the maps lie among the patches."""
-        return MapGrid.for_map(self.observation.grid, self.observation.grey.shape, self.level.shape)
 
     def add_layer(self, spec: LayerSpec, values: FloatArray, note: str = "") -> None:
         """Add a layer; it is float32."""
