@@ -24,6 +24,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.sliding_plain import Buffers, Window, fold_plain, slide_plain
 
 # Rows are filled up to a multiple of this: the rest of a loop that a processor's vectors do not
 # divide takes as long as many of them.
@@ -33,12 +34,6 @@ _AT_ONCE = 4
 
 # Alignment of buffers, bytes: vectors that cross lines of the cache took 3.3 in place of 2.5 ms.
 _LINE = 64
-
-# The window [n], its b and its a.
-_Window = tuple[FloatArray, np.float32, np.float32]
-# Rows that enter less those that leave [some, 2 lanes], sums of -1 to n / 2 + 1 cycles by wave
-# [n / 2 + 3, 2, 2 lanes], and products of one frequency [2, lanes].
-_Buffers = tuple[FloatArray, FloatArray, FloatArray]
 
 
 class SlidingTransform:
@@ -157,28 +152,18 @@ def _fold_loop(pixels: FloatArray, stride: int, columns: int, folded: FloatArray
                 folded[1, k - 1, y, x] = left[x] - right[x]
 
 
-def _fold_plain(pixels: FloatArray, stride: int, columns: int, folded: FloatArray) -> None:
-    n = 2 * folded.shape[1]
-    windows = np.lib.stride_tricks.sliding_window_view(pixels, n, axis=1)[:, ::stride]
-    windows = np.moveaxis(windows, -1, 0)
-    left, right = windows[1 : n // 2 + 1], windows[: n // 2 - 1 : -1]
-    rows = slice(0, len(pixels))
-    np.add(left, right, out=folded[0, :, rows, :columns])
-    np.subtract(left, right, out=folded[1, :, rows, :columns])
-
-
 # Sums and differences of the left and right half of the windows of some pixel rows [rows, width],
 # whose distance and number are given [2, n / 2, >= rows, >= columns].
-fold = Compiled(_fold_loop, _fold_plain)
+fold = Compiled(_fold_loop, fold_plain)
 
 
 def _slide_loop(
     rows: FloatArray,
     waves: FloatArray,
-    window: _Window,
+    window: Window,
     stride: int,
     index: IndexArray,
-    buffers: _Buffers,
+    buffers: Buffers,
     products: FloatArray,
 ) -> None:
     n, swing, mean = len(window[0]), window[1], window[2]
@@ -230,28 +215,7 @@ def _slide_loop(
                         products[place, row, x] = found[kind, x]
 
 
-def _slide_plain(
-    rows: FloatArray,
-    waves: FloatArray,
-    window: _Window,
-    stride: int,
-    index: IndexArray,
-    buffers: _Buffers,
-    products: FloatArray,
-) -> None:
-    weights, height, columns = window[0], *products.shape[1:]
-    n, count = len(weights), index.shape[1]
-    windowed = (waves[:, :count, :n] * weights).reshape(2 * count, n)
-    for row in range(height):
-        first = n + row * stride
-        cosines, sines = windowed @ rows[:, first : first + n, :columns]
-        (cc, sc), (cs, ss) = cosines.reshape(2, count, -1), sines.reshape(2, count, -1)
-        found = cc * cc + cs * cs + sc * sc + ss * ss, cc * ss - cs * sc
-        for places, values in zip(index, found, strict=True):
-            products[places[places >= 0], row] = values[places >= 0]
-
-
 # Writes the products of one horizontal frequency from `rows` [2, n + pixel rows, lanes], waves of
 # all vertical frequencies [2, >= V, >= n], the window, the distance of windows, and the places of
 # the products [2, V], with buffers; see `SlidingTransform`.
-slide = Compiled(_slide_loop, _slide_plain)
+slide = Compiled(_slide_loop, slide_plain)
