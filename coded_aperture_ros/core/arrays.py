@@ -1,5 +1,7 @@
-"""Types of arrays."""
+"""Types of arrays, and the functions for arrays of a kind: of NumPy, or tensors of PyTorch."""
 
+import sys
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -16,3 +18,32 @@ Shape = tuple[int, int]  # rows and columns
 def as_floats(values: NDArray[Any]) -> FloatArray:
     """Contiguous float32 array of numbers; copied only if they are not one already."""
     return np.ascontiguousarray(values, np.float32)
+
+
+def namespace(array: Any) -> Any:
+    """Module whose functions take an array: NumPy, or PyTorch for its tensors.
+
+    Only functions that both have by the same name and with the same meaning serve both, such as
+    `where`, `clip`, `stack`, `amin` and `argmax`, with axes by position.
+    """
+    return np if isinstance(array, np.ndarray) else sys.modules["torch"]
+
+
+def filters(array: Any) -> Any:
+    """Module whose filters take an array: OpenCV, or `core.tensors.filters` for tensors."""
+    of_numpy = isinstance(array, np.ndarray)
+    return import_module("cv2" if of_numpy else "coded_aperture_ros.core.tensors.filters")
+
+
+def constant(values: NDArray[Any], like: Any) -> Any:
+    """Array as another one is: itself, or a tensor on the other's device, which is kept there."""
+    if isinstance(like, np.ndarray):
+        return values
+    from coded_aperture_ros.core.tensors.constants import kept_on_device
+
+    return kept_on_device(values, like.device)
+
+
+def zeros(shape: tuple[int, ...], like: Any) -> Any:
+    """Zeros of the kind of another array, on its device."""
+    return np.zeros(shape, like.dtype) if isinstance(like, np.ndarray) else like.new_zeros(shape)

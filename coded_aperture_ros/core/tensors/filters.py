@@ -1,0 +1,139 @@
+"""OpenCV's filters for tensors: functions of the same names, on the device of the tensor.
+
+Each is linear and separable, and so a product with a matrix for each axis. The matrix is what
+OpenCV makes of unit vectors: borders, fractional areas and centres are those of OpenCV. Only what
+is largest and smallest around a pixel is not linear; it is found axis by axis.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import torch
+from cv2 import (
+    BORDER_REFLECT,
+    BORDER_REPLICATE,
+    INTER_AREA,
+    INTER_LINEAR,
+    INTER_NEAREST,
+    INTER_NEAREST_EXACT,
+)
+from numpy.typing import NDArray
+from torch.nn import functional
+
+__all__ = [
+    "BORDER_REFLECT",
+    "BORDER_REPLICATE",
+    "INTER_AREA",
+    "INTER_LINEAR",
+    "INTER_NEAREST",
+    "INTER_NEAREST_EXACT",
+    "GaussianBlur",
+    "blur",
+    "copyMakeBorder",
+    "dilate",
+    "erode",
+    "resize",
+]
+
+FloatArray = NDArray[np.float32]
+# Matrices of the axes of a few frame sizes, each at most some MB.
+_KEPT = 256
+
+
+def blur(picture: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Mean over a box around every pixel; see ``cv2.blur``."""
+    return _filtered(picture, ("blur", size[1]), ("blur", size[0]))
+
+
+def GaussianBlur(  # noqa: N802  OpenCV's name
+    picture: torch.Tensor, size: tuple[int, int], sigma: float
+) -> torch.Tensor:
+    """Gaussian mean around every pixel; see ``cv2.GaussianBlur``."""
+    return _filtered(picture, ("gaussian", sigma), ("gaussian", sigma))
+
+
+def resize(
+    picture: torch.Tensor,
+    size: tuple[int, int] | None,
+    fx: float = 0,
+    fy: float = 0,
+    interpolation: int = INTER_LINEAR,
+) -> torch.Tensor:
+    """Picture [rows, columns(, channels)] of another size (width, height); see ``cv2.resize``."""
+    width, height = size or (0, 0)
+    down, across = (("resize", *axis, interpolation) for axis in ((height, fy), (width, fx)))
+    return _filtered(picture, down, across)
+
+
+def copyMakeBorder(  # noqa: N802  OpenCV's name
+    picture: torch.Tensor, top: int, bottom: int, left: int, right: int, kind: int
+) -> torch.Tensor:
+    """Picture with a border; see ``cv2.copyMakeBorder``."""
+    down = _border(picture.shape[0], top, bottom, kind, picture.device)
+    across = _border(picture.shape[1], left, right, kind, picture.device)
+    return picture.index_select(0, down).index_select(1, across)
+
+
+def dilate(picture: torch.Tensor, square: NDArray[np.uint8]) -> torch.Tensor:
+    """Largest value in a square around every pixel; see ``cv2.dilate``."""
+    down, across = square.shape
+    flat = picture.reshape(1, 1, *picture.shape)
+    found = functional.max_pool2d(flat, (down, 1), 1, (down // 2, 0))
+    return functional.max_pool2d(found, (1, across), 1, (0, across // 2))[0, 0]
+
+
+def erode(picture: torch.Tensor, square: NDArray[np.uint8]) -> torch.Tensor:
+    """Smallest value in a square around every pixel; see ``cv2.erode``."""
+    return -dilate(-picture, square)
+
+
+def _filtered(
+    picture: torch.Tensor, down: tuple[object, ...], across: tuple[object, ...]
+) -> torch.Tensor:
+    """Picture with a filter along each axis."""
+    rows = _matrix(picture.shape[0], picture.device, *down)
+    columns = _matrix(picture.shape[1], picture.device, *across)
+    if picture.ndim == 2:
+        return rows @ picture @ columns.T
+    return (rows @ picture.movedim(2, 0) @ columns.T).movedim(0, 2)
+
+
+@lru_cache(_KEPT)
+def _matrix(length: int, device: torch.device, kind: str, *settings: float) -> torch.Tensor:
+    """Matrix of a filter along an axis of some length."""
+    along = _KINDS[kind](np.eye(length, dtype=np.float32), *settings)
+    return torch.tensor(along, device=device)
+
+
+def _blur(unit: FloatArray, side: float) -> NDArray[np.floating]:
+    return cv2.blur(unit, (1, int(side)))
+
+
+def _gaussian(unit: FloatArray, sigma: float) -> NDArray[np.floating]:
+    """Unit vectors filtered along their columns, by what a broad picture becomes."""
+    flat = np.repeat(unit.T[:, :, None], 3, axis=2)  # constant along the other axis
+    return np.stack([cv2.GaussianBlur(one, (0, 0), sigma)[:, 1] for one in flat], axis=1)
+
+
+def _resize(
+    unit: FloatArray, length: float, scale: float, interpolation: float
+) -> NDArray[np.floating]:
+    if length:
+        return cv2.resize(unit, (len(unit), int(length)), interpolation=int(interpolation))
+    return cv2.resize(unit, None, fx=1, fy=scale, interpolation=int(interpolation))
+
+
+_KINDS: dict[str, Callable[..., NDArray[np.floating]]] = {
+    "blur": _blur,
+    "gaussian": _gaussian,
+    "resize": _resize,
+}
+
+
+@lru_cache(_KEPT)
+def _border(length: int, before: int, after: int, kind: int, device: torch.device) -> torch.Tensor:
+    """Pixel of an axis that each pixel of the picture with a border shows."""
+    index = np.arange(length, dtype=np.int32)[:, None]
+    return torch.tensor(cv2.copyMakeBorder(index, before, after, 0, 0, kind)[:, 0], device=device)
