@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, constant
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
@@ -38,9 +38,10 @@ class Folding:
 
     def fold_volume(self, volume: FloatArray) -> FloatArray:
         """Cost of every unsigned size [rows, columns, n]: the lower of its levels' [..., L]."""
+        far = volume[..., constant(self.far, volume)]
         if len(self.far) == volume.shape[-1]:  # each size is on one side only
-            return volume[..., self.far]
-        return np.minimum(volume[..., self.far], volume[..., self.near])
+            return far
+        return np.minimum(far, volume[..., self.near])
 
 
 # Entries per level in the tables of blur size and depth: finer than any estimate.

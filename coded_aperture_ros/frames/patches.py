@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, constant, filters
 from coded_aperture_ros.core.errors import InputError
 
 # Largest share of unusable pixels of a window with depth.
@@ -99,7 +99,7 @@ class PatchGrid:
         """
         rows = np.minimum(self.row_centres // cell_px, len(values) - 1)
         columns = np.minimum(self.column_centres // cell_px, values.shape[1] - 1)
-        return values[np.ix_(rows, columns)]
+        return values[constant(rows[:, None], values), constant(columns, values)]
 
 
 def usable_windows(unusable: BoolArray, grid: PatchGrid) -> BoolArray:
@@ -135,6 +135,6 @@ def window_means(values: FloatArray, grid: PatchGrid, side_px: int) -> FloatArra
     """Mean of a map of the frame over a square around every window's centre [rows, columns]."""
     # Blocks of the frame first, which is faster: the squares are much larger.
     scale = 1 / _BLOCK_PX
-    blocks = cv2.resize(values, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    side = max(side_px // _BLOCK_PX, 1)
-    return grid.centre_values(cv2.blur(blocks, (side, side)), _BLOCK_PX)
+    cv, side = filters(values), max(side_px // _BLOCK_PX, 1)
+    blocks = cv.resize(values, None, fx=scale, fy=scale, interpolation=cv.INTER_AREA)
+    return grid.centre_values(cv.blur(blocks, (side, side)), _BLOCK_PX)

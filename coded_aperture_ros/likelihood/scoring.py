@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, namespace
 
 # The noise of a patch is at least this share of the variance that was expected: without noise,
 # rounding and the rank of the basis would decide.
@@ -93,7 +93,8 @@ def bounded_cost(volume: FloatArray) -> FloatArray:
     >>> bounded_cost(np.float32([0.0, 5.0, 40.0])).tolist()
     [0.0, 5.0, 12.0]
     """
-    return np.minimum(volume, np.float32(_MAX_FRAME_COST))
+    bounded: FloatArray = namespace(volume).clip(volume, None, _MAX_FRAME_COST)
+    return bounded
 
 
 def plausible_ratios(ratios: DoubleArray, contrasts: Sequence[float], noise: float) -> slice:

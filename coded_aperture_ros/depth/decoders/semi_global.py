@@ -1,15 +1,18 @@
 """Semi-global matching: cost of every level along the cheapest paths through the patches."""
 
+from typing import Any
+
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape, namespace
 from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.decoders.paths import add_best_paths_plain
 
 # Largest cost of a level, natural logarithm: beyond, a patch is an outlier.
 _MOST_COST = 7.0
 # Costs of a step of one level and of a jump, natural logarithm.
-_P1 = 4.0
-_P2 = 22.0
+P1 = 4.0
+P2 = 22.0
 # Share of the smoothness that is left where the brightness changes by much more than usual.
 _ACROSS_CONTRAST = 0.3
 
@@ -45,34 +48,10 @@ def _loop(
                     total[i, j, level] += before[1 + level]
 
 
-def _plain(
-    volume: FloatArray, weights: FloatArray, p1: np.float32, p2: np.float32, total: FloatArray
-) -> None:
-    # Levels before patches: all that is done to every level is then one long run of numbers.
-    costs = np.empty((len(volume), 2, volume.shape[2], volume.shape[1]), np.float32)
-    costs[:, 0] = volume.swapaxes(1, 2)
-    costs[:, 1] = costs[::-1, 0]
-    of_step = p1 * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
-    of_jump = p2 * np.stack([weights, weights[::-1]], axis=1)[:, :, None]
-    step, best = np.empty_like(costs[0]), np.empty_like(costs[0])
-    least = np.empty_like(costs[0, :, :1])
-    for i in range(len(costs)):
-        if i:
-            previous = costs[i - 1]
-            np.minimum(previous, of_jump[i - 1], out=best)
-            np.add(previous, of_step[i - 1], out=step)
-            np.minimum(best[:, 1:], step[:, :-1], out=best[:, 1:])
-            np.minimum(best[:, :-1], step[:, 1:], out=best[:, :-1])
-            np.add(costs[i], best, out=costs[i])
-        np.minimum.reduce(costs[i], axis=1, keepdims=True, out=least)
-        np.subtract(costs[i], least, out=costs[i])  # so that costs do not grow along the path
-    total += (costs[:, 0] + costs[::-1, 1]).swapaxes(1, 2)
-
-
 # Adds to `total` [n, m, L] the costs, less the least of each patch, of the best paths that reach it
 # from either end of the first axis. Takes the volume [n, m, L], the weight of the smoothness
 # between neighbours [n - 1, m], and the costs P1 of a step of one level and P2 of a jump.
-add_best_paths = Compiled(_loop, _plain)
+add_best_paths = Compiled(_loop, add_best_paths_plain)
 
 
 def semi_global_cost(
@@ -97,29 +76,48 @@ def semi_global_cost(
     H. Hirschmueller, Stereo processing by semiglobal matching and mutual information, 2008.
     """
     bounded = np.ascontiguousarray(bound_outliers(volume))
-    rows, columns = bounded.shape[:2]
-    down = np.full((rows - 1, columns), smoothness, np.float32)
-    across = np.full((rows, columns - 1), smoothness, np.float32)
-    if brightness is not None and brightness.size > 1:
-        changes = [np.abs(np.diff(brightness, axis=axis)) for axis in (0, 1)]
-        usual = np.median(np.concatenate([change.ravel() for change in changes]))
-        weights = [
-            _ACROSS_CONTRAST + (1 - _ACROSS_CONTRAST) * np.exp(-((change / max(usual, 1e-6)) ** 2))
-            for change in changes
-        ]
-        mean = np.mean(np.concatenate([weight.ravel() for weight in weights]))
-        down *= weights[0] / mean
-        across *= weights[1] / mean
+    down, across = smoothness_weights(bounded.shape[:2], smoothness, brightness)
     # Every path counts the cost of its patch.
     total = -3 * bounded
-    add_best_paths(bounded, down, np.float32(_P1), np.float32(_P2), total)
+    add_best_paths(bounded, down, np.float32(P1), np.float32(P2), total)
     add_best_paths(
-        bounded.swapaxes(0, 1), across.T, np.float32(_P1), np.float32(_P2), total.swapaxes(0, 1)
+        bounded.swapaxes(0, 1), across.T, np.float32(P1), np.float32(P2), total.swapaxes(0, 1)
     )
     return total
 
 
+def smoothness_weights(
+    shape: Shape, smoothness: float, brightness: FloatArray | None
+) -> tuple[FloatArray, FloatArray]:
+    """Weight of the smoothness down [rows - 1, columns] and across [rows, columns - 1]."""
+    rows, columns = shape
+    if brightness is None or rows * columns == 1:
+        return (
+            np.full((rows - 1, columns), smoothness, np.float32),
+            np.full((rows, columns - 1), smoothness, np.float32),
+        )
+    xp = namespace(brightness)
+    changes = [xp.abs(xp.diff(brightness, axis=axis)) for axis in (0, 1)]
+    flat = xp.concatenate([change.ravel() for change in changes])
+    usual = np.median(flat) if xp is np else _median(flat.sort()[0])
+    weights = [
+        _ACROSS_CONTRAST
+        + (1 - _ACROSS_CONTRAST) * xp.exp(-((change / xp.clip(usual, 1e-6, None)) ** 2))
+        for change in changes
+    ]
+    mean = xp.concatenate([weight.ravel() for weight in weights]).mean()
+    down, across = (smoothness * (weight / mean) for weight in weights)
+    return down, across
+
+
+def _median(ordered: Any) -> Any:
+    """Median of ordered values; that of PyTorch is the lower of the middle two."""
+    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+
+
 def bound_outliers(volume: FloatArray) -> FloatArray:
     """Negative logarithm of the probability of every level [..., L], at most an outlier's."""
-    log_sum = np.log(np.exp(-volume).sum(axis=-1, keepdims=True))
-    return np.minimum(volume + log_sum, np.float32(_MOST_COST))
+    xp = namespace(volume)
+    log_sum = xp.log(xp.exp(-volume).sum(axis=-1, keepdims=True))
+    bounded: FloatArray = xp.clip(volume + log_sum, None, _MOST_COST)
+    return bounded

@@ -10,14 +10,20 @@ belongs to the one of the nine around whose colour is the most like its own.
 """
 
 import dataclasses
-import itertools
 
-import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import (
+    FloatArray,
+    IndexArray,
+    constant,
+    filters,
+    namespace,
+    zeros,
+)
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.array_forms import DISTANCE, VOTERS, chosen, counted
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells
 
 # Differences from which colours have nothing in common, of square roots of linear light: of
@@ -27,10 +33,9 @@ _BRIGHTNESS = 0.18
 _COLOUR = 0.047
 # Half-cells in each direction that vote, every second as on a chessboard: those beside each other
 # say about the same. Fewer where colours do not differ, as brightness alone parts few surfaces.
-_REACH = 5
+_REACH = VOTERS
 _GREY_REACH = 2
-# Squared difference of colour that outweighs a half-cell's distance.
-_DISTANCE = np.float32(0.05)
+_DISTANCE = np.float32(DISTANCE)
 _TO_OPPONENTS = np.stack(
     [
         np.ones(3) / 3 / _BRIGHTNESS,
@@ -64,9 +69,10 @@ class Guide:
         """Guide of a frame, linear light [height, width] or [height, width, 3], without NaN."""
         of_quarters = _shrunk(cells.pad_frame(light), HALF_CELL_PX // 2)
         half_cells, quarters = map(_opponents, (_shrunk(of_quarters, 2), of_quarters))
+        xp, cv = namespace(light), filters(light)
         square = np.ones((2 * _REACH + 1,) * 2, np.uint8)
-        differences = [cv2.dilate(one, square) - cv2.erode(one, square) for one in half_cells[1:]]
-        reach = np.where(np.max(differences, axis=0) > 1, _REACH, _GREY_REACH)
+        one, other = (cv.dilate(each, square) - cv.erode(each, square) for each in half_cells[1:])
+        reach = xp.where(xp.maximum(one, other) > 1, _REACH, _GREY_REACH)
         return cls(half_cells, quarters, reach)
 
     def owners(self) -> IndexArray:
@@ -74,6 +80,8 @@ class Guide:
 
         Flat indices into the half-cells with a border of one.
         """
+        if namespace(self.quarters) is not np:
+            return chosen(self.half_cells, self.quarters)
         owner = np.empty(self.quarters.shape[1:], np.intp)
         _choose(self.half_cells, self.quarters, owner)
         return owner
@@ -81,19 +89,22 @@ class Guide:
 
 def _shrunk(picture: FloatArray, step: int) -> FloatArray:
     """Means of squares of pixels."""
-    size = picture.shape[1] // step, picture.shape[0] // step
-    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.float32)
+    cv, size = filters(picture), (picture.shape[1] // step, picture.shape[0] // step)
+    means: FloatArray = cv.resize(picture, size, interpolation=cv.INTER_AREA)
+    return means
 
 
 def _opponents(light: FloatArray) -> FloatArray:
     """Brightness, red less green, and yellow less blue [3, rows, columns]; of grey, brightness."""
+    xp = namespace(light)
     # Of square roots, which noise changes as much in the light as in the dark.
-    colours = np.sqrt(np.maximum(light, 0))
-    opponents = np.zeros((3, *light.shape[:2]), np.float32)
+    colours = xp.sqrt(xp.clip(light, 0, None))
     if light.ndim == 2 or light.shape[2] != 3:
+        opponents: FloatArray = zeros((3, *light.shape[:2]), light)
         opponents[0] = colours.reshape(*light.shape[:2], -1).mean(axis=-1) / _BRIGHTNESS
         return opponents
-    return np.ascontiguousarray(np.moveaxis(colours @ _TO_OPPONENTS, -1, 0))
+    opponents = xp.moveaxis(colours @ constant(_TO_OPPONENTS, light), -1, 0)
+    return opponents if xp is not np else np.ascontiguousarray(opponents)
 
 
 def count_votes(
@@ -120,6 +131,8 @@ def count_votes(
     about : ndarray, float32 [rows, columns]
         Probability of these five.
     """
+    if namespace(shares) is not np:
+        return counted(first, shares, bins, guide.half_cells, guide.reach)
     place, about = np.empty((2, *first.shape), np.float32)
 
     def count_rows(row: int, _: int) -> None:
@@ -183,28 +196,8 @@ def _count_plain(
     place: FloatArray,
     about: FloatArray,
 ) -> None:
-    # Each half-cell's votes for all bins, and beyond the frame none.
-    every = np.zeros((*first.shape, votes.size), np.float32)
-    np.put_along_axis(every, first[..., None] + np.arange(shares.shape[2]), shares, axis=2)
-    every = np.pad(every, ((_REACH, _REACH), (_REACH, _REACH), (0, 0)))
-    margin = (0, 0), (_REACH, _REACH), (_REACH, _REACH)
-    bordered = np.pad(colours, margin, constant_values=np.inf)
-    here, reach = np.s_[some_rows[0] : some_rows[1]], reaches[slice(*some_rows)]
-    counted = np.zeros((*reach.shape, votes.size), np.float32)
-    total = np.zeros(reach.shape, np.float32)
-    for i, j in itertools.product(range(-_REACH, _REACH + 1), repeat=2):
-        rows = slice(some_rows[0] + _REACH + i, some_rows[1] + _REACH + i)
-        columns = slice(_REACH + j, _REACH + j + first.shape[1])
-        unlike = ((bordered[:, rows, columns] - colours[:, here]) ** 2).sum(axis=0)
-        votes_here = (i * i + j * j <= reach**2 + 1) & ((i + j) % 2 == 0)
-        weight = np.maximum(1 - unlike, 0) ** 4 * votes_here
-        counted += weight[..., None] * every[rows, columns]
-        total += weight
-    best = 1 + (counted[..., :-2] + counted[..., 1:-1] + counted[..., 2:]).argmax(axis=-1)
-    near = np.abs(np.arange(votes.size) - best[..., None]) <= 2
-    summed = (counted * near).sum(axis=-1)
-    place[here] = (counted * near * np.arange(votes.size)).sum(axis=-1) / summed
-    about[here] = summed / total
+    here = slice(*some_rows)
+    place[here], about[here] = counted(first, shares, votes.size, colours, reaches, here)
 
 
 def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
@@ -243,22 +236,7 @@ def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray
 
 
 def _choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
-    _, rows, columns = colours.shape
-    beyond = (0, 0), (1, 1), (1, 1)
-    bordered = np.pad(colours, beyond, constant_values=np.inf)
-    index = np.arange((rows + 2) * (columns + 2)).reshape(rows + 2, columns + 2)
-    down, right = (np.arange(2 * length) % 2 * 0.5 - 0.25 for length in (rows, columns))
-    least = np.full(owner.shape, np.inf, np.float32)
-    for i, j in itertools.product((-1, 0, 1), repeat=2):
-        there = np.s_[..., 1 + i : 1 + i + rows, 1 + j : 1 + j + columns]
-        theirs, their_index = (
-            np.repeat(np.repeat(values[there], 2, axis=-2), 2, axis=-1)
-            for values in (bordered, index)
-        )
-        unlike = _DISTANCE * np.add.outer((i - down) ** 2, (j - right) ** 2).astype(np.float32)
-        unlike += ((theirs - of_quarters) ** 2).sum(axis=0)
-        better = unlike < least
-        owner[better], least = their_index[better], np.minimum(least, unlike)
+    owner[:] = chosen(colours, of_quarters)
 
 
 _count = Compiled(_count_loop, _count_plain)

@@ -5,8 +5,9 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape, filters
 from coded_aperture_ros.core.compiled import Compiled
+from coded_aperture_ros.depth.decoders.network import array_forms
 from coded_aperture_ros.frames import PatchGrid
 
 # Distance between cells, px; patches at other distances are interpolated.
@@ -78,8 +79,9 @@ class Cells:
         height, width = self.frame_shape
         bottom = self.top + self.rows * CELL_PX - height
         right = self.left + self.columns * CELL_PX - width
-        margins = -self.top, bottom, -self.left, right
-        return np.asarray(cv2.copyMakeBorder(picture, *margins, cv2.BORDER_REFLECT))
+        cv, margins = filters(picture), (-self.top, bottom, -self.left, right)
+        padded: FloatArray = cv.copyMakeBorder(picture, *margins, cv.BORDER_REFLECT)
+        return padded
 
 
 def _inside(centres: IndexArray, first: int) -> slice:
@@ -151,13 +153,18 @@ class Drawing:
         """Map of cells' values [rows, columns], in squares."""
         whole = np.repeat(np.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1)
         height, width = self.cells.frame_shape
-        return self._resized(whole[-self.cells.top :, -self.cells.left :][:height, :width])
+        whole = whole[-self.cells.top :, -self.cells.left :][:height, :width]
+        return self._resized(np.ascontiguousarray(whole))
 
     def _resized(self, whole: FloatArray) -> FloatArray:
         """Map of the frame at the size of the maps."""
-        if whole.shape != self.size:
-            whole = cv2.resize(whole, self.size[::-1], interpolation=cv2.INTER_NEAREST_EXACT)
-        return np.ascontiguousarray(whole)
+        if whole.shape == self.size:
+            return whole
+        cv = filters(whole)
+        resized: FloatArray = cv.resize(
+            whole, self.size[::-1], interpolation=cv.INTER_NEAREST_EXACT
+        )
+        return resized
 
 
 def upsample_half_cells(
@@ -174,8 +181,12 @@ def upsample_half_cells(
     """
     if shape is None:
         shape = HALF_CELL_PX * values.shape[0], HALF_CELL_PX * values.shape[1]
+    cv = filters(values)
+    bordered = cv.copyMakeBorder(values, 1, 1, 1, 1, cv.BORDER_REPLICATE)
+    if cv is not cv2:
+        part = np.s_[first[0] : first[0] + shape[0], first[1] : first[1] + shape[1]]
+        return array_forms.drawn(bordered, quarters, one_surface)[part]
     drawn = np.empty(shape, np.float32)
-    bordered = cv2.copyMakeBorder(values, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     draw(bordered, quarters, np.float32(one_surface), first, drawn)
     return drawn
 
@@ -225,15 +236,8 @@ def _draw_plain(
     first: Shape,
     drawn: FloatArray,
 ) -> None:
-    own = values[1:-1, 1:-1]
-    pixels = HALF_CELL_PX * own.shape[1], HALF_CELL_PX * own.shape[0]
-    linear = cv2.resize(own, pixels, interpolation=cv2.INTER_LINEAR)
-    around = np.ones((3, 3), np.uint8)
-    even = (cv2.dilate(own, around) - cv2.erode(own, around) <= one_surface).view(np.uint8)
-    even = cv2.resize(even, pixels, interpolation=cv2.INTER_NEAREST)
-    edges = cv2.resize(values.ravel()[quarters], pixels, interpolation=cv2.INTER_NEAREST)
     part = tuple(slice(at, at + length) for at, length in zip(first, drawn.shape, strict=True))
-    drawn[:] = np.where(even.view(bool), linear, edges)[part]
+    drawn[:] = array_forms.drawn(values, quarters, float(one_surface))[part]
 
 
 # Writes the map of half-cells' values with a border of one, see `Drawing.render_map`, from a first

@@ -3,10 +3,9 @@
 import dataclasses
 from collections.abc import Sequence
 
-import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, filters, namespace
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.cells import Cells
 from coded_aperture_ros.depth.decoders.semi_global import semi_global_cost
@@ -19,9 +18,9 @@ LARGEST_PX = 22.0
 BLUR_SIZES_PX = np.arange(0, LARGEST_PX + BLUR_STEP_PX / 2, BLUR_STEP_PX)
 # Value of a blur size that was not tried, in each of its channels: the logarithm of its cost, of
 # the cost scaled up, and of the sum by semi-global matching.
-_UNTRIED = (5.0, 2.8, 5.0)
-UNTRIED = _UNTRIED[0]
-KINDS = len(_UNTRIED)
+UNTRIED_VALUES = (5.0, 2.8, 5.0)
+UNTRIED = UNTRIED_VALUES[0]
+KINDS = len(UNTRIED_VALUES)
 # Largest cost, natural logarithm.
 _MOST_COST = 140.0
 # Factor of the cost in the second channel: with little texture costs differ little, but those of
@@ -85,10 +84,10 @@ class LocalContext:
     @classmethod
     def from_frame(cls, grey: FloatArray, noise: float) -> "LocalContext":
         """Context of a frame [height, width] whose noise has a standard deviation."""
-        side = (2 * _SMOOTH_PX + 1,) * 2
-        mean = cv2.blur(grey, side)
+        cv, side = filters(grey), (2 * _SMOOTH_PX + 1,) * 2
+        mean = cv.blur(grey, side)
         difference = grey - mean
-        return cls(grey, mean, cv2.blur(difference * difference, side), noise)
+        return cls(grey, mean, cv.blur(difference * difference, side), noise)
 
 
 def cost_features(
@@ -120,21 +119,14 @@ def cost_features(
     to_sizes = resampling(sizes_px).T
     features = np.empty((COST_CHANNELS + SCALARS, cells.rows, cells.columns), np.float32)
     cost_channels = features[:COST_CHANNELS].reshape(N_SCALES, KINDS, -1, cells.rows, cells.columns)
-    for kind, untried in enumerate(_UNTRIED):
+    for kind, untried in enumerate(UNTRIED_VALUES):
         cost_channels[:, kind, :start] = cost_channels[:, kind, stop:] = untried
 
     def add_scale(index: int, _: int) -> None:
         scale, count = scales[index], len(sizes_px)
         path_sums = semi_global_cost(scale.volume, 1.0, window_brightness(context.grey, scale.grid))
-        channels = np.empty((KINDS, count, scale.misfit.size), np.float32)
         levels = np.moveaxis(scale.volume, -1, 0).reshape(count, -1)
-        np.minimum(levels, np.float32(_MOST_COST), out=channels[0])
-        np.multiply(channels[0], np.float32(_FINE_SCALE), out=channels[1])
-        channels[2] = path_sums.reshape(-1, count).T
-        channels[2] -= channels[2].min(axis=0)
-        channels += np.float32(1)
-        np.log(channels, out=channels)
-        channels[1] *= np.float32(1 / 3)
+        channels = log_costs(levels, path_sums.reshape(-1, count).T)
         values = (to_sizes @ channels).reshape(KINDS, -1, *scale.misfit.shape)
         cost_channels[index, :, start:stop] = cells.resample_patches(values, scale.grid)[0]
         features[COST_CHANNELS + index], known = cells.resample_patches(scale.misfit, scale.grid)
@@ -142,16 +134,32 @@ def cost_features(
             features[COST_CHANNELS + N_SCALES] = known
 
     (workers or Workers()).each(add_scale, range(N_SCALES))
-    shape = cells.columns, cells.rows
+    features[-3], features[-2] = texture_and_brightness(context, cells)
+    features[-1] = near
+    return features
+
+
+def log_costs(levels: FloatArray, path_sums: FloatArray) -> FloatArray:
+    """Channels of the costs of levels [L, n] and of the sums along paths [KINDS, L, n]."""
+    xp = namespace(levels)
+    channels: FloatArray = xp.stack([levels, levels, path_sums])
+    xp.clip(channels[0], None, _MOST_COST, out=channels[0])
+    xp.multiply(channels[0], _FINE_SCALE, out=channels[1])
+    channels[2] -= xp.amin(channels[2], 0)
+    channels += 1
+    xp.log(channels, out=channels)
+    channels[1] *= 1 / 3
+    return channels
+
+
+def texture_and_brightness(context: LocalContext, cells: Cells) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of the texture over noise and of the brightness of every cell."""
+    xp, cv, shape = namespace(context.mean), filters(context.mean), (cells.columns, cells.rows)
     mean, variance = (
-        cv2.resize(cells.pad_frame(part), shape, interpolation=cv2.INTER_AREA)
+        cv.resize(cells.pad_frame(part), shape, interpolation=cv.INTER_AREA)
         for part in (context.mean, context.variance)
     )
-    rest = features[COST_CHANNELS + N_SCALES + 1 :]
-    rest[0] = np.log(variance / np.float32(context.noise**2) + 1) / 2
-    rest[1] = np.log(np.maximum(mean, np.float32(1e-3)))
-    rest[2] = near
-    return features
+    return xp.log(variance / context.noise**2 + 1) / 2, xp.log(xp.clip(mean, 1e-3, None))
 
 
 def frame_features(context: LocalContext, cells: Cells) -> FloatArray:
@@ -159,9 +167,11 @@ def frame_features(context: LocalContext, cells: Cells) -> FloatArray:
 
     It is relative to the texture around it and the noise.
     """
-    spread = np.sqrt(context.variance + np.float32(4 * context.noise**2))
+    xp = namespace(context.grey)
+    spread = xp.sqrt(context.variance + 4 * context.noise**2)
     whole = cells.pad_frame((context.grey - context.mean) / spread)
     side = FRAME_CELL_PX
     rows, columns = (length // side for length in whole.shape)
-    squares = whole.reshape(rows, side, columns, side).transpose(1, 3, 0, 2)
-    return np.ascontiguousarray(squares.reshape(side * side, rows, columns))
+    squares = xp.moveaxis(whole.reshape(rows, side, columns, side), (1, 3), (0, 1))
+    texture: FloatArray = squares.reshape(side * side, rows, columns)
+    return texture

@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.archive import read_shipped
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, as_floats
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    FloatArray,
+    IndexArray,
+    as_floats,
+    constant,
+    namespace,
+)
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
@@ -102,6 +109,11 @@ SCHEMA = "coded-aperture refinement network"
 SCHEMA_VERSION = 3
 
 
+def refinement_weights(own: Mapping[str, Any] | None) -> Mapping[str, Any]:
+    """Arrays of the weights' file that ships, or those of a bank that has its own."""
+    return own or read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class Logits:
     """Output of the network for every half-cell; float32."""
@@ -115,7 +127,7 @@ class Logits:
 class Network:
     """Refinement network: logits of the half-cells' blur sizes from costs and frame.
 
-    A runtime runs all but the first layer of the blur sizes (see `_FirstLayer`) and the last layer,
+    A runtime runs all but the first layer of the blur sizes (see `FirstLayer`) and the last layer,
     of which only the rows are computed that are needed. Not for several threads at once.
 
     Parameters
@@ -137,7 +149,7 @@ class Network:
         runtime: str = "auto",
         own: Mapping[str, Any] | None = None,
     ) -> None:
-        arrays: Mapping[str, Any] = own or read_shipped(__file__, WEIGHTS, SCHEMA, SCHEMA_VERSION)
+        arrays = refinement_weights(own)
         self._workers = workers
         self.level_network, self.cell_network = (
             network_of(arrays, name, runtime, workers.threads) for name in ("levels", "cells")
@@ -149,9 +161,8 @@ class Network:
         self._tried = slice(int(first), int(last) + 1)
         self._trust = as_floats(arrays["trust"])
         self.calibration = Calibration.from_weights(arrays)
-        # The check of fit has learned with a simpler one.
-        self.checked = Calibration((as_floats(arrays.get("checked", np.eye(1, 4))),), np.float32(1))
-        self._first = _FirstLayer.from_weights(arrays, self._tried)
+        self.checked = Calibration.of_check(arrays)
+        self._first = FirstLayer.from_weights(arrays, self._tried)
 
     def __call__(self, costs: FloatArray, frame: FloatArray) -> Logits:
         """Logits of the half-cells, from `cost_features` and `frame_features`."""
@@ -180,7 +191,7 @@ class Network:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class _FirstLayer:
+class FirstLayer:
     """First layer of the network for every blur size, on squares of 2 x 2 cells."""
 
     channels: IndexArray  # [tried, n]; of the costs of each blur size, and of its two neighbours
@@ -189,7 +200,7 @@ class _FirstLayer:
     added: FloatArray  # [tried, out, 1]; what is added to every blur size
 
     @classmethod
-    def from_weights(cls, arrays: Mapping[str, Any], tried: slice) -> "_FirstLayer":
+    def from_weights(cls, arrays: Mapping[str, Any], tried: slice) -> "FirstLayer":
         """Layer of the tried blur sizes, from the arrays of a weights' file."""
         weights, count = arrays["first_weights"], len(BLUR_SIZES_PX)
         weights, scalars, size = np.split(weights, -4 * np.array([SCALARS + 1, 1]), axis=1)
@@ -254,16 +265,25 @@ class Calibration:
         layers = (as_floats(arrays[name]) for name in sorted(arrays) if "confidence" in name)
         return cls(tuple(layers), np.float32(arrays.get("deviation", 1)))
 
+    @classmethod
+    def of_check(cls, arrays: Mapping[str, NDArray[Any]]) -> "Calibration":
+        """Simpler calibration that the check of fit has learned with."""
+        return cls((as_floats(arrays.get("checked", np.eye(1, 4))),), np.float32(1))
+
     def confidence(self, features: FloatArray) -> FloatArray:
         """Probability that depths are right, 0 to 1 [...], from features [features, ...]."""
-        values = features.reshape(len(features), -1)
-        for number, layer in enumerate(self.layers):
-            values = layer[:, :-1] @ (np.maximum(values, 0, out=values) if number else values)
+        xp, values = namespace(features), features.reshape(len(features), -1)
+        for number, weights in enumerate(self.layers):
+            layer = constant(weights, features)
+            values = layer[:, :-1] @ (xp.clip(values, 0, None, out=values) if number else values)
             values += layer[:, -1:]
-        return np.asarray(1 / (1 + np.exp(-values[0])), np.float32).reshape(features.shape[1:])
+        probability: FloatArray = 1 / (1 + xp.exp(-values[0]))
+        return probability.reshape(features.shape[1:])
 
 
 def log_odds(probability: FloatArray) -> FloatArray:
     """Natural logarithm of the odds of a probability, float32."""
-    certain = np.clip(probability, _SURE, 1 - _SURE)
-    return np.asarray(np.log(certain / (1 - certain)), np.float32)
+    xp = namespace(probability)
+    certain = xp.clip(probability, _SURE, 1 - _SURE)
+    odds: FloatArray = xp.log(certain / (1 - certain))
+    return odds

@@ -2,13 +2,13 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network.array_forms import described
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide, count_votes
 from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds
 
@@ -73,25 +73,20 @@ def _describe_plain(
     first: IndexArray,
     shares: FloatArray,
 ) -> None:
-    probability = padded[REACH:-REACH]
-    steps = np.arange(-REACH, REACH + 1, dtype=np.float32)
-    together = padded[REACH - 1 : -REACH - 1] + probability
-    together += padded[REACH + 1 : len(padded) - REACH + 1]
-    best = (together == together.max(axis=0)).argmax(axis=0)
-    around = np.take_along_axis(padded, best + np.arange(len(steps))[:, None], axis=0)
-    about = around.sum(axis=0)
-    size = tried_px[best] + steps @ around / about * (tried_px[1] - tried_px[0])
-    sums = np.stack([np.ones_like(tried_px), tried_px, tried_px**2])
-    total, mean, square = sums @ probability
-    mean /= total
-    square = square / total - 2 * mean * size + size**2
-    results[:] = size, about / total, np.sqrt(np.maximum(square, 0)), mean
-    first[:], shares[:] = best, (around / total).T
+    found, first[:] = described(padded, tried_px)
+    results[:], shares[:] = found[:4], found[4:].T
 
 
 # Writes size, probability, spread (see `HalfCells`) and mean [4, n], and `Votes`, of probabilities,
 # up to a factor, of the tried blur sizes, with `REACH` zeros before and after [tried + 2 REACH, n].
 describe = Compiled(_describe_loop, _describe_plain)
+
+
+def width_px(logits: Logits) -> FloatArray:
+    """Mean error in px, if the likeliest blur size is about right [rows, columns]."""
+    xp = namespace(logits.log_width)
+    width: FloatArray = xp.exp(xp.clip(logits.log_width, *_LOG_WIDTHS))
+    return width
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -161,7 +156,7 @@ class HalfCells:
             describe(padded, tried_px, results[:, chunk], first[chunk], shares[chunk])
 
         (workers or Workers()).each(add_chunk, range(0, flat.shape[1], _CHUNK))
-        width = np.exp(np.clip(logits.log_width, *_LOG_WIDTHS))
+        width = width_px(logits)
         size, about, spread, mean = results.reshape(4, *width.shape)
         votes = Votes(first.reshape(width.shape), shares.reshape(*width.shape, -1), mean)
         return cls(size, about, spread, width, logits.size, tried_px, votes)
@@ -177,20 +172,24 @@ class HalfCells:
         # The second moment about another size.
         apart = self.size_px - size
         square = self.spread_px**2 + apart * (2 * votes.mean_px - self.size_px - size)
-        spread = np.sqrt(np.maximum(square, 0))
+        xp = namespace(square)
+        spread = xp.sqrt(xp.clip(square, 0, None))
         return dataclasses.replace(self, size_px=size, about=about, spread_px=spread)
 
     def right_within(self, tolerance_px: FloatArray) -> FloatArray:
         """Probability that the error is within a tolerance [rows, columns]."""
-        return np.asarray(self.about * (1 - np.exp(-tolerance_px / self.width_px)), np.float32)
+        share = 1 - namespace(self.about).exp(-tolerance_px / self.width_px)
+        probability: FloatArray = self.about * share
+        return probability
 
     def own_features(self, tolerance_px: FloatArray) -> FloatArray:
         """Features of each half-cell alone, float32 [features, rows, columns].
 
         Log-odds that the error is within the tolerance, blur size, and logarithm of the tolerance.
         """
-        odds = log_odds(self.right_within(tolerance_px))
-        return np.stack([odds, self.size_px, np.log(tolerance_px)])
+        xp, odds = namespace(tolerance_px), log_odds(self.right_within(tolerance_px))
+        features: FloatArray = xp.stack([odds, self.size_px, xp.log(tolerance_px)])
+        return features
 
     def confidence_features(self, tolerance_px: FloatArray) -> FloatArray:
         """Features that confidence is calibrated by, float32 [features, rows, columns].
@@ -199,17 +198,22 @@ class HalfCells:
         neighbours are, in tolerances.
         """
         own, size = self.own_features(tolerance_px), self.size_px
-        means = (cv2.blur(own[0], side) for side in _AROUND)
-        apart = np.abs([turn(size, _SQUARE) - size for turn in (cv2.dilate, cv2.erode)])
-        return np.stack([*own, *means, *np.log1p(apart / tolerance_px)])
+        xp, cv = namespace(size), filters(size)
+        means = (cv.blur(own[0], side) for side in _AROUND)
+        apart = (xp.abs(turn(size, _SQUARE) - size) for turn in (cv.dilate, cv.erode))
+        apart_in_tolerances = (xp.log1p(each / tolerance_px) for each in apart)
+        features: FloatArray = xp.stack([*own, *means, *apart_in_tolerances])
+        return features
 
     def deviation_px(self) -> FloatArray:
         """Standard deviation of the blur size [rows, columns]: 68 % of errors are within it."""
-        share = np.minimum(_WITHIN_ONE / self.about, _SUREST)
-        deviation = -self.width_px * np.log1p(-share)
+        xp = namespace(self.about)
+        share = xp.clip(_WITHIN_ONE / self.about, None, _SUREST)
+        deviation = -self.width_px * xp.log1p(-share)
         # Where the likeliest size is improbable, the error is the spread over all sizes.
-        larger = np.maximum(deviation, self.spread_px)
-        return np.where(self.about < _WITHIN_ONE, larger, deviation)
+        larger = xp.maximum(deviation, self.spread_px)
+        deviation_px: FloatArray = xp.where(self.about < _WITHIN_ONE, larger, deviation)
+        return deviation_px
 
     def nearest_px(self, probability: float, far: FloatArray) -> FloatArray:
         """Signed blur size, px, with a given probability of being nearer [rows, columns].
