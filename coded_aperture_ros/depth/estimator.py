@@ -21,7 +21,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
 from coded_aperture_ros.frames import Frame, KnownNoise
-from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel
+from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel, torch_device
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Camera
 
@@ -208,6 +208,7 @@ class DepthEstimator:
                 small=small,
                 regularize=self._regularize,
                 second_focus=self._second_focus,
+                device=torch_device(config.backend),
             )
             planned = _Planned(plan, make_front(plan, config), make_back(plan, config))
             unless_made.pop_all()

@@ -61,6 +61,8 @@ class Plan:
         In place of the one that the configuration names.
     second_focus : SecondFocus or None
         For pairs of frames at two focus settings.
+    device : str or None
+        PyTorch's name of the device that the network runs on; None: NumPy.
     """
 
     shape: Shape
@@ -74,6 +76,7 @@ class Plan:
     small: Likelihood | None = None
     regularize: Regularizer | None = None
     second_focus: SecondFocus | None = None
+    device: str | None = None
 
     @property
     def reliability(self) -> tuple[float, ...]:

@@ -5,6 +5,7 @@ from coded_aperture_ros.likelihood.backends import (
     EngineLikelihood,
     check_backend,
     new_engine,
+    torch_device,
 )
 from coded_aperture_ros.likelihood.channels import ChannelLikelihood
 from coded_aperture_ros.likelihood.numpy_engine import NumpyEngine
@@ -40,4 +41,5 @@ __all__ = [
     "plausible_ratios",
     "relative_cost",
     "take_logarithm",
+    "torch_device",
 ]

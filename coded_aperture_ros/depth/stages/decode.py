@@ -1,12 +1,14 @@
 """Level of every pixel, by the network or by classical regularisation."""
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
 from coded_aperture_ros.core.networks import RUNTIMES, check_runtime
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.classical import ClassicalDecoder
+from coded_aperture_ros.depth.decoders.decoded import Decoded
 from coded_aperture_ros.depth.decoders.edges import edge_correction
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS, regularizer
@@ -71,6 +73,10 @@ def make(plan: Plan, config: Config) -> Stage:
     if plan.decoder.learned:
         assert plan.small is not None
         own = getattr(plan.model, "refinement", None)
+        if plan.device is not None and plan.sides is None:
+            from coded_aperture_ros.depth.decoders.network.on_device.decoder import DeviceDecoder
+
+            return Decode(DeviceDecoder(plan.levels, plan.small.grid, plan.device, own))
         network = NetworkDecoder(
             plan.levels, plan.small.grid, plan.sides, plan.workers, config.network, own
         )
@@ -89,7 +95,7 @@ def make(plan: Plan, config: Config) -> Stage:
 class Decode(Stage):
     """Decides level, deviation and confidence of every pixel."""
 
-    decoder: NetworkDecoder | ClassicalDecoder
+    decoder: Callable[..., Decoded]
     name = "decode"
 
     def __call__(self, work: Work) -> None:

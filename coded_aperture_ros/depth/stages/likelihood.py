@@ -25,8 +25,8 @@ class Config:
     )
     backend: str = option(
         "numpy",
-        "What computes the costs: torch needs PyTorch, cuda a GPU beside; auto takes the GPU "
-        "where there is one.",
+        "What computes costs and network: torch needs PyTorch, cuda a GPU beside; auto takes the "
+        "GPU where there is one.",
         choices=BACKENDS,
         parameter="compute.backend",
     )

@@ -65,7 +65,7 @@ class FindSecondSurface(Stage):
     def __call__(self, work: Work) -> None:
         """Add depth and share."""
         level = share = np.full_like(work.level, np.nan)
-        decoded = work.decoded
+        decoded = getattr(work.decoded, "whole", work.decoded)
         if self.network is not None and isinstance(decoded, NetworkDecoded):
             level, share = self._found(self.network, decoded)
             level = np.where(work.doubted, np.float32(np.nan), level)

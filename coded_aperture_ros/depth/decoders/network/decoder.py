@@ -7,7 +7,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    IndexArray,
+    Shape,
+    namespace,
+)
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells, Drawing
@@ -31,13 +38,13 @@ from coded_aperture_ros.likelihood import Cost, bounded_cost
 
 # Largest differences between neighbouring half-cells of one surface: of blur size, px, of
 # confidence, and of standard deviation, in levels.
-_ONE_SURFACE_PX = 0.8
-_ONE_CONFIDENCE = 0.1
-_ONE_DEVIATION = 0.5
+ONE_SURFACE_PX = 0.8
+ONE_CONFIDENCE = 0.1
+ONE_DEVIATION = 0.5
 # Weight of the past frames' cost: the network was trained on costs of up to three frames.
 _PAST_WEIGHT = 0.5
 # Largest difference of costs, natural logarithm, of a frame without texture.
-_BLANK_COST = 1e-3
+BLANK_COST = 1e-3
 # Position error of the map, px of the frame: a pixel may show its neighbour's surface.
 _AROUND_PX = 4
 
@@ -74,6 +81,11 @@ class SizeScale:
         """Levels in a pixel of blur."""
         return np.float32((len(self.sizes_px) - 1) / np.ptp(self.sizes_px))
 
+    @property
+    def is_far(self) -> bool:
+        """Whether levels, of one side, are beyond the focal plane."""
+        return bool(self.sizes_px.mean() > 0)
+
     def level(self, size_px: FloatArray) -> FloatArray:
         """Fractional level of signed blur sizes, float32 of their shape."""
         return np.interp(size_px, self.sizes_px[self.order], self.order).astype(np.float32)
@@ -104,7 +116,7 @@ class NetworkDecoded:
         if self.blank:
             return np.full(self.drawing.size, self._nearest)
         level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
-        one_surface = _ONE_SURFACE_PX * float(self.scale.levels_per_px)
+        one_surface = ONE_SURFACE_PX * float(self.scale.levels_per_px)
         # Where nothing was seen, neighbours are no evidence.
         return np.where(self.blind, self._nearest, self.drawing.render_map(level, one_surface))
 
@@ -165,7 +177,8 @@ class NetworkDecoder:
         self, observation: Observation, volume: FloatArray, frame_cost: Cost, size: Shape
     ) -> NetworkDecoded:
         """Decide the level of every pixel; see `ClassicalDecoder` and `inputs`."""
-        volume = _limit_past(volume, frame_cost)
+        if volume is not frame_cost.volume:
+            volume = limit_past(volume, frame_cost.volume)
         cells = Cells.covering(observation.grey.shape, observation.grid)
         features, frame = self.inputs(observation, volume, frame_cost, cells)
         logits = self._network(features, frame)
@@ -180,20 +193,20 @@ class NetworkDecoder:
         checked = possible * self._network.checked.confidence(alone.own_features(tolerance_px))
         deviation = half_cells.deviation_px() * (self._scale.levels_per_px * calibration.deviation)
         drawing = Drawing(cells, size, guide.owners())
-        one_surface = _ONE_SURFACE_PX * float(self._scale.levels_per_px)
-        confidence_map = drawing.render_map(confidence, _ONE_CONFIDENCE)
-        flat = volume.max(axis=-1) <= _BLANK_COST
+        one_surface = ONE_SURFACE_PX * float(self._scale.levels_per_px)
+        confidence_map = drawing.render_map(confidence, ONE_CONFIDENCE)
+        flat = volume.max(axis=-1) <= BLANK_COST
         blank = bool(flat.all())
         at = MapGrid.for_map(observation.grid, observation.grey.shape, size)
         unusable = at.nearest_patch_values(~observation.usable)
         confidence_map[unusable | blank] = 0
         return NetworkDecoded(
             level=drawing.render_map(level, one_surface),
-            deviation=drawing.render_map(deviation, _ONE_DEVIATION),
+            deviation=drawing.render_map(deviation, ONE_DEVIATION),
             confidence=confidence_map,
             side_confidence=None
             if self._sides is None
-            else drawing.render_map(np.maximum(far, 1 - far), _ONE_CONFIDENCE),
+            else drawing.render_map(np.maximum(far, 1 - far), ONE_CONFIDENCE),
             logits=logits,
             features=features,
             half_cells=half_cells,
@@ -248,12 +261,12 @@ class NetworkDecoder:
     @property
     def _near_share(self) -> float:
         """1 for a scene before the focal plane, 0 beyond it, 0.5 if that is not known."""
-        return 0.5 if self._sides is not None else float(self._scale.sizes_px.mean() < 0)
+        return 0.5 if self._sides is not None else float(not self._scale.is_far)
 
     def _far_probability(self, size_px: FloatArray, volume: FloatArray, cells: Cells) -> FloatArray:
         """Probability of every half-cell to lie beyond the focal plane [rows, columns]."""
         if self._sides is None:
-            return np.full(size_px.shape, self._scale.sizes_px.mean() > 0, np.float32)
+            return np.full(size_px.shape, self._scale.is_far, np.float32)
         grid = cells.grid
         rows, columns = (
             (centres - first) // HALF_CELL_PX
@@ -290,13 +303,11 @@ def nearest_level_around(
     return np.asarray(np.minimum(cv2.dilate(level, square) + np.float32(error), last))
 
 
-def _limit_past(volume: FloatArray, frame_cost: Cost) -> FloatArray:
+def limit_past(volume: FloatArray, of_frame: FloatArray) -> FloatArray:
     """Cost of all frames, with the past weighted as in training [rows, columns, L]."""
-    if volume is frame_cost.volume:
-        return volume
-    past = volume - bounded_cost(frame_cost.volume)
-    volume = frame_cost.volume + np.float32(_PAST_WEIGHT) * past
-    volume -= volume.min(axis=-1, keepdims=True)
+    past = volume - bounded_cost(of_frame)
+    volume = of_frame + _PAST_WEIGHT * past
+    volume -= namespace(volume).amin(volume, -1, keepdims=True)
     return volume
 
 

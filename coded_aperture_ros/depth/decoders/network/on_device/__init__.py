@@ -1,0 +1,1 @@
+"""Decoder of the levels on PyTorch's device: nothing is copied from the costs to the maps."""

@@ -1,0 +1,186 @@
+"""Depth with the network on PyTorch: the same as by NumPy and OpenCV, without a look at values."""
+
+import numpy as np
+import pytest
+
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.likelihood.bank import learn_bank
+from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
+from coded_aperture_ros.simulation.layered import random_scene
+
+# Difference of levels that counts as none: rounding, of a hundredth of the least step of a map.
+SAME = 0.01
+SHARE = 0.999
+NOISE = 0.002
+
+
+@pytest.fixture(scope="module")
+def torch():
+    return pytest.importorskip("torch", reason="needs PyTorch")
+
+
+@pytest.fixture(scope="module", params=["torch", "cuda"])
+def backend(request, torch):
+    if request.param == "cuda" and not torch.cuda.is_available():
+        pytest.skip("needs a CUDA device")
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(2, 12, 21)))
+
+
+def frame_of(seed, shape, channels=3):
+    """Return a coded frame of a random scene, each channel with another share of the light."""
+    scene = random_scene(seed, Mask.named("levin"), "far", shape)
+    coded = np.stack([scene.coded() * share for share in (0.9, 0.7, 0.8)], axis=-1)
+    coded = coded + NOISE * np.random.default_rng(seed).standard_normal(coded.shape)
+    return (coded if channels == 3 else coded.mean(axis=-1)).astype(np.float32)
+
+
+def frames_of(kind):
+    if kind == "grey":
+        return [frame_of(1, (192, 240), 1)]
+    if kind == "colour":
+        return [frame_of(2, (192, 240))]
+    if kind == "odd":
+        return [frame_of(3, (201, 243))[:197, :231]]
+    if kind == "holes":
+        frame = frame_of(4, (192, 240))
+        frame[20:60, 30:90] = np.nan
+        frame[100:150, 120:200] = 1.0
+        return [frame]
+    if kind == "dark":
+        return [np.zeros((96, 128), np.float32)]
+    frame = frame_of(5, (192, 246))
+    return [frame[:, step : step + 240] for step in range(0, 6, 2)]
+
+
+def assert_same(found, expected):
+    for name in ("level", "confidence", "std_dev_m", "depth_m"):
+        one, other = getattr(found, name), getattr(expected, name)
+        if other is None:
+            assert one is None
+            continue
+        same = np.isclose(one, other, rtol=0.01, atol=SAME, equal_nan=True)
+        assert same.mean() > SHARE, name
+    assert (found.health is None) == (expected.health is None)
+    if found.health is not None:
+        assert found.health.value == pytest.approx(expected.health.value, abs=0.02)
+
+
+@pytest.mark.parametrize("kind", ["grey", "colour", "odd", "holes", "dark", "video"])
+def test_depth_is_that_of_the_processor(backend, bank, kind):
+    frames = frames_of(kind)
+    memory = 4.0 if kind == "video" else 0.0
+    config = {"temporal_frames": memory, "threads": 1}
+    usual = DepthEstimator(bank, DepthConfig(network="opencv", **config))
+    on_device = DepthEstimator(bank, DepthConfig(backend=backend, **config))
+    for frame in frames:
+        assert_same(on_device.estimate(frame), usual.estimate(frame))
+    usual.close()
+    on_device.close()
+
+
+@pytest.mark.parametrize("size", [(96, 120), (50, 64)])
+def test_maps_of_other_sizes_are_those_of_the_processor(backend, bank, size):
+    (frame,) = frames_of("colour")
+    found = DepthEstimator(bank, DepthConfig(backend=backend)).estimate(frame, size)
+    expected = DepthEstimator(bank, DepthConfig(network="opencv")).estimate(frame, size)
+    assert found.level.shape == size
+    assert_same(found, expected)
+
+
+@pytest.mark.parametrize("side", ["near", "far"])
+def test_layers_of_the_network_are_those_of_the_processor(backend, side):
+    """What is seldom asked for, and stays on the device: probabilities, features, outputs."""
+    from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+
+    focus_m, near_m, far_m = (1.0, 1.1, 3.0) if side == "far" else (3.0, 1.0, 2.4)
+    camera = Camera(600.0, focus_m, 240, 192, Mask.named("levin"), 30.0, side=side)
+    bank = learn_bank_for_camera(camera, near_m, far_m, 27)
+    (frame,) = frames_of("colour")
+    asked = {"free_space_risk": 0.01, "second_surface": True, "unknown": "nearest"}
+    found, expected = (
+        DepthEstimator(bank, DepthConfig(**asked, **backend_config), camera).estimate(frame)
+        for backend_config in ({"backend": backend}, {"network": "opencv"})
+    )
+    assert_same(found, expected)
+    assert found.layers.keys() == expected.layers.keys() != set()
+    for name, layer in expected.layers.items():
+        same = np.isclose(found.layers[name].values, layer.values, rtol=0.01, equal_nan=True)
+        assert same.mean() > 0.995, name
+
+
+def test_levels_on_both_sides_stay_on_the_processor(backend):
+    bank = learn_bank(render_psf_stack(Mask.named("zhou"), np.linspace(-8, 8, 33)))
+    (frame,) = frames_of("grey")
+    estimate = DepthEstimator(bank, DepthConfig(backend=backend)).estimate(frame)
+    assert "side" in estimate.layers
+
+
+def decoded_inputs(torch, bank, frame):
+    """Return the decoder of a frame, and what its recorded work is given."""
+    from coded_aperture_ros.core.tensors import recorded
+
+    estimator = DepthEstimator(bank, DepthConfig(backend="torch", temporal_frames=2.0))
+    given = []
+    with pytest.MonkeyPatch.context() as patch:
+
+        def take(self, inputs):
+            given.append((self._function, {k: recorded._tensor(v) for k, v in inputs.items()}))
+            return self._function(given[-1][1])
+
+        patch.setattr(recorded.Recorded, "__call__", take)
+        with torch.inference_mode():
+            estimator.estimate(frame)
+            estimator.estimate(frame)
+    return given[-1]
+
+
+def test_a_frame_can_be_recorded(torch, bank):
+    """Neither values are looked at nor constants copied: a CUDA graph allows neither."""
+    from torch.utils._python_dispatch import TorchDispatchMode
+
+    called = set()
+
+    class Listen(TorchDispatchMode):
+        def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+            called.add(func.overloadpacket.__name__)
+            return func(*args, **(kwargs or {}))
+
+    function, inputs = decoded_inputs(torch, bank, frames_of("colour")[0])
+    with torch.inference_mode(), Listen():
+        function(inputs)
+    assert {"convolution", "conv2d"} & called
+    assert called.isdisjoint(
+        {"_local_scalar_dense", "item", "nonzero", "masked_select", "lift_fresh", "_to_copy"}
+    )
+
+
+def test_a_frame_stays_on_its_device(torch, bank):
+    """PyTorch without a GPU knows on which device results would be."""
+    from torch._subclasses.fake_tensor import FakeTensorMode
+
+    from coded_aperture_ros.core.tensors import constants, filters
+    from coded_aperture_ros.depth.decoders.network.on_device.decoder import DeviceDecoder
+
+    function, inputs = decoded_inputs(torch, bank, frames_of("colour")[0])
+    work, (of_cells, cells, at) = function.func.__self__, function.args
+    caches = constants._copied, filters._matrix, filters._border
+    try:
+        with FakeTensorMode():
+            for cache in caches:
+                cache.cache_clear()
+            decoder = DeviceDecoder(work._scale.levels, work._small, "cuda")
+            fakes = {
+                name: torch.empty(values.shape, dtype=values.dtype, device="cuda")
+                for name, values in inputs.items()
+            }
+            found = decoder._decide(of_cells, cells, at, fakes)
+    finally:
+        for cache in caches:
+            cache.cache_clear()
+    assert {str(values.device) for values in found.values()} == {"cuda:0"}
+    assert found["level"].shape == at.size
