@@ -1,6 +1,7 @@
 """Types of arrays, and the functions for arrays of a kind: of NumPy, or tensors of PyTorch."""
 
 import sys
+from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -11,6 +12,7 @@ FloatArray = NDArray[np.float32]
 DoubleArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 IndexArray = NDArray[np.intp]
+Uploads = Callable[[NDArray[Any]], Any]  # copies an array to a device
 PerPatch = float | FloatArray  # a number for a whole frame, or one for each patch
 Shape = tuple[int, int]  # rows and columns
 
@@ -42,6 +44,11 @@ def constant(values: NDArray[Any], like: Any) -> Any:
     from coded_aperture_ros.core.tensors.constants import kept_on_device
 
     return kept_on_device(values, like.device)
+
+
+def in_memory(array: Any) -> Any:
+    """Array of NumPy of an array or tensor; waits for the device that computes it."""
+    return array if isinstance(array, np.ndarray) else array.cpu().numpy()
 
 
 def zeros(shape: tuple[int, ...], like: Any) -> Any:

@@ -20,7 +20,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import Health
 from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
-from coded_aperture_ros.likelihood import Cost, Likelihood, LikelihoodModel
+from coded_aperture_ros.likelihood import Cost, EngineLikelihood, Likelihood, LikelihoodModel
 
 
 class SecondFocus(Protocol):
@@ -79,6 +79,13 @@ class Plan:
     device: str | None = None
 
     @property
+    def costs_on_device(self) -> bool:
+        """Whether costs stay on the device, where the network takes them."""
+        own = isinstance(self.likelihood, EngineLikelihood)
+        others = self.sides is not None or self.second_focus is not None
+        return self.device is not None and self.decoder.learned and own and not others
+
+    @property
     def reliability(self) -> tuple[float, ...]:
         """See `FilterBank`; empty for other models."""
         return getattr(self.model, "reliability", ())
@@ -101,6 +108,8 @@ class Work:
 
     # The front: from light to the cost of every level.
     observation: Observation = dataclasses.field(init=False)  # observe
+    # The same, with tensors if costs are computed on a device.
+    seen: Observation = dataclasses.field(init=False)  # observe, to device
     # Mean of the frames that are alike [height, width], and how many it is of, by square; None:
     # of this one.
     grey: FloatArray = dataclasses.field(init=False)  # observe, static average

@@ -5,7 +5,7 @@ from typing import Protocol
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, namespace
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import LapTimer
 from coded_aperture_ros.frames import PatchGrid
@@ -80,7 +80,10 @@ class EngineLikelihood:
         usable: BoolArray | None = None,
         prior: object = None,
     ) -> Cost:
-        """Cost of every level for every patch; see `Likelihood.cost`."""
+        """Cost of every level for every patch; see `Likelihood.cost`.
+
+        Of tensors on PyTorch's device, if that is the backend, it consists of tensors.
+        """
         timer = LapTimer()
         self._engine.project(grey)
         timer.lap("spectra")
@@ -88,7 +91,7 @@ class EngineLikelihood:
         count = self._levels or energies.shape[-1]
         sparse = np.s_[:: self._step, :: self._step]
         energies, periodic_energies = energies[..., :count], energies[sparse][..., count:]
-        least = energies.min(axis=-1, keepdims=True)
+        least = namespace(energies).amin(energies, -1, keepdims=True)
         volume = relative_cost(energies, self._window_correlation, usable, least)
         periodic = relative_cost(
             periodic_energies,
@@ -97,7 +100,7 @@ class EngineLikelihood:
             least[sparse],
         )
         # A window has about as many numbers as pixels.
-        misfit = least[..., 0] / np.float32(self.grid.window_px**2)
+        misfit = least[..., 0] / self.grid.window_px**2
         timer.lap("energies")
         return Cost(
             volume,

@@ -77,10 +77,13 @@ def relative_cost(
     >>> relative_cost(np.float32([[[8.0, 24.0]]]), window_correlation=2.0).tolist()
     [[[0.0, 1.0]]]
     """
-    cost = energies - (energies.min(axis=-1, keepdims=True) if least is None else least)
-    cost *= np.float32(0.5 / (window_correlation * TEMPERATURE))
-    if usable is not None:
+    xp = namespace(energies)
+    cost = energies - (xp.amin(energies, -1, keepdims=True) if least is None else least)
+    cost *= 0.5 / (window_correlation * TEMPERATURE)
+    if usable is not None and xp is np:
         cost[~usable] = 0
+    elif usable is not None:
+        cost *= usable[..., None]
     return cost
 
 

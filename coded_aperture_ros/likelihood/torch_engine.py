@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from coded_aperture_ros.core.arrays import FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch, namespace
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE
@@ -33,6 +33,7 @@ class TorchEngine:
         torch.set_float32_matmul_precision(_PRECISION)
         self.name = "cuda" if device == "cuda" else "torch"
         self._plan = plan
+        self._stays = False
         self.grid = plan.grid
 
         grid, n, columns = plan.grid, plan.grid.window_px, plan.grid.columns
@@ -81,10 +82,17 @@ class TorchEngine:
 
     @torch.inference_mode()
     def project(self, grey: FloatArray) -> None:
-        """Take a frame [rows, columns]: project every patch onto the common basis."""
+        """Take a frame [rows, columns]: project every patch onto the common basis.
+
+        Of a tensor on the device the energies are a tensor, too, and nothing waits for them.
+        """
         here, frame = self._buffers.frame
-        np.copyto(here.numpy(), self._plan.crop(grey))
-        frame.copy_(here)
+        self._stays = namespace(grey) is torch
+        if self._stays:
+            frame.copy_(self._plan.crop(grey))
+        else:
+            np.copyto(here.numpy(), self._plan.crop(grey))
+            frame.copy_(here)
         for rows in self._groups:
             self._project_rows(frame, rows)
 
@@ -94,7 +102,7 @@ class TorchEngine:
         compared = self._plan.hypothesis_rows(self._plan.plausible_ratios(noise))
         here, precision = self._buffers.precision
         here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
-        precision.copy_(here)
+        precision.copy_(here, non_blocking=True)
         here, energies = self._buffers.energies
         for hypotheses, area, columns in self._buffers.areas:
             for group in self._groups:
@@ -104,6 +112,9 @@ class TorchEngine:
                     self._compare(
                         hypotheses[compared], precision[rows, :, columns], rows, columns, part
                     )
+        if self._stays:
+            found: FloatArray = energies.mT
+            return found
         here.copy_(energies)
         return here.mT.numpy()
 

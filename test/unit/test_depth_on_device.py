@@ -1,9 +1,11 @@
 """Depth with the network on PyTorch: the same as by NumPy and OpenCV, without a look at values."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
@@ -83,6 +85,36 @@ def test_depth_is_that_of_the_processor(backend, bank, kind):
     on_device.close()
 
 
+def test_recorded_videos_are_those_of_the_processor(backend, bank):
+    config = {"temporal_frames": 1.0, "threads": 1}
+    found, expected = (
+        list(estimate_video(DepthEstimator(bank, DepthConfig(**config, **own)), frames_of("video")))
+        for own in ({"backend": backend}, {"network": "opencv"})
+    )
+    assert len(found) == len(expected) == 3
+    for one, other in zip(found, expected, strict=True):
+        assert_same(one, other)
+
+
+def test_colour_psfs_are_those_of_the_processor(backend):
+    """Their costs are added up on the processor."""
+    stack = render_psf_stack(Mask.named("levin"), np.linspace(2, 12, 21))
+    wider = render_psf_stack(Mask.named("levin"), np.linspace(2.2, 12.2, 21))
+    size = wider.psfs.shape[1]
+    margin = (size - stack.psfs.shape[1]) // 2
+    psfs = np.pad(stack.psfs, ((0, 0), (margin, margin), (margin, margin)))
+    of_channels = np.stack([psfs, psfs, wider.psfs])
+    stack = dataclasses.replace(stack, psfs=psfs, channel_psfs=of_channels)
+    bank = learn_bank(stack)
+    assert len(bank.channels) == 3
+    (frame,) = frames_of("colour")
+    found, expected = (
+        DepthEstimator(bank, DepthConfig(**own)).estimate(frame)
+        for own in ({"backend": backend}, {"network": "opencv"})
+    )
+    assert_same(found, expected)
+
+
 @pytest.mark.parametrize("size", [(96, 120), (50, 64)])
 def test_maps_of_other_sizes_are_those_of_the_processor(backend, bank, size):
     (frame,) = frames_of("colour")
@@ -129,7 +161,7 @@ def decoded_inputs(torch, bank, frame):
     with pytest.MonkeyPatch.context() as patch:
 
         def take(self, inputs):
-            given.append((self._function, {k: recorded._tensor(v) for k, v in inputs.items()}))
+            given.append((self._function, {k: recorded.tensor_of(v) for k, v in inputs.items()}))
             return self._function(given[-1][1])
 
         patch.setattr(recorded.Recorded, "__call__", take)

@@ -123,7 +123,8 @@ def test_constants_are_copied_once(torch):
 
 
 def test_recorded_work_takes_any_arrays(torch):
-    from coded_aperture_ros.core.tensors.recorded import Recorded, download
+    from coded_aperture_ros.core.tensors.recorded import Recorded
+    from coded_aperture_ros.core.tensors.transfer import download
 
     work = Recorded(lambda inputs: {"sum": inputs["one"] + inputs["other"]}, "cpu")
     one = np.arange(6, dtype=np.float32).reshape(2, 3)

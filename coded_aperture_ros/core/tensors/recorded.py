@@ -4,9 +4,10 @@ import logging
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from coded_aperture_ros.core.tensors.transfer import tensor_of
 
 Tensors = Mapping[str, torch.Tensor]
 # Calls before one is recorded: libraries choose their ways and constants are copied in them.
@@ -41,7 +42,7 @@ class Recorded:
     def __call__(self, inputs: Mapping[str, NDArray[Any] | torch.Tensor]) -> Tensors:
         """Outputs, which the next call overwrites."""
         if self._device.type == "cpu":
-            return self._function({name: _tensor(values) for name, values in inputs.items()})
+            return self._function({name: tensor_of(values) for name, values in inputs.items()})
         self._take(inputs)
         if self._graph is None and self._records:
             self._record()
@@ -53,7 +54,7 @@ class Recorded:
     def _take(self, inputs: Mapping[str, NDArray[Any] | torch.Tensor]) -> None:
         """Copy the inputs to where the recorded step reads them."""
         for name, values in inputs.items():
-            given = _tensor(values)
+            given = tensor_of(values)
             if name not in self._inputs:
                 self._inputs[name] = torch.empty_like(given, device=self._device)
             if given.device.type == "cpu":
@@ -81,26 +82,3 @@ class Recorded:
             logging.getLogger(__name__).warning(
                 f"CUDA graph: not recorded, running step by step: {error}"
             )
-
-
-def _tensor(values: NDArray[Any] | torch.Tensor) -> torch.Tensor:
-    """Tensor of an array, which need not be writable or contiguous."""
-    if isinstance(values, torch.Tensor):
-        return values
-    array = np.ascontiguousarray(values)
-    return torch.from_numpy(array if array.flags.writeable else array.copy())
-
-
-def download(tensors: Tensors) -> dict[str, NDArray[Any]]:
-    """Arrays of tensors by name, copied at once; the device's work is finished then."""
-    tensors = {name: each.contiguous() for name, each in tensors.items()}
-    if all(each.device.type == "cpu" for each in tensors.values()):
-        return {name: each.numpy() for name, each in tensors.items()}
-    here = {
-        name: torch.empty_like(each, device="cpu", pin_memory=True)
-        for name, each in tensors.items()
-    }
-    for name, each in tensors.items():
-        here[name].copy_(each, non_blocking=True)
-    torch.cuda.current_stream().synchronize()
-    return {name: each.numpy() for name, each in here.items()}

@@ -92,10 +92,8 @@ def smoothness_weights(
     """Weight of the smoothness down [rows - 1, columns] and across [rows, columns - 1]."""
     rows, columns = shape
     if brightness is None or rows * columns == 1:
-        return (
-            np.full((rows - 1, columns), smoothness, np.float32),
-            np.full((rows, columns - 1), smoothness, np.float32),
-        )
+        equal = np.full(shape, smoothness, np.float32)
+        return equal[1:], equal[:, 1:]
     xp = namespace(brightness)
     changes = [xp.abs(xp.diff(brightness, axis=axis)) for axis in (0, 1)]
     flat = xp.concatenate([change.ravel() for change in changes])
@@ -106,8 +104,7 @@ def smoothness_weights(
         for change in changes
     ]
     mean = xp.concatenate([weight.ravel() for weight in weights]).mean()
-    down, across = (smoothness * (weight / mean) for weight in weights)
-    return down, across
+    return smoothness * (weights[0] / mean), smoothness * (weights[1] / mean)
 
 
 def _median(ordered: Any) -> Any:

@@ -27,6 +27,7 @@ from coded_aperture_ros.depth.stages import (
     small_patches,
     static_average,
     temporal,
+    to_device,
     unknown,
 )
 
@@ -34,6 +35,7 @@ from coded_aperture_ros.depth.stages import (
 FRONT: tuple[StageModule, ...] = (
     observe,
     static_average,
+    to_device,
     likelihood,
     focal_side,
     small_patches,

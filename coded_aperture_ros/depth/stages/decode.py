@@ -100,9 +100,7 @@ class Decode(Stage):
 
     def __call__(self, work: Work) -> None:
         """Decide by the cost of all frames that count."""
-        work.decoded = decoded = self.decoder(
-            work.observation, work.volume, work.frame_cost, work.size
-        )
+        work.decoded = decoded = self.decoder(work.seen, work.volume, work.frame_cost, work.size)
         work.level = decoded.level
         work.deviation = decoded.deviation
         work.confidence = decoded.confidence

@@ -65,6 +65,7 @@ class Observe(Stage):
         work.observation = Observation.from_light(
             frame.light, self.saturation, plan.grid, plan.known_noise, least_noise
         )
+        work.seen = work.observation
         work.grey = work.observation.grey
         if isinstance(plan.likelihood, ChannelLikelihood) and frame.channels > 1:
             work.channels = work.observation.light

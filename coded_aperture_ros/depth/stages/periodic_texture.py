@@ -9,7 +9,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, in_memory
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
@@ -48,7 +48,9 @@ class PeriodicTexture(Stage):
             return
         step = work.frame_cost.periodic_step
         some, grid = np.s_[::step, ::step], work.observation.grid.every(step)
-        cost = dataclasses.replace(work.frame_cost, volume=work.frame_cost.volume[some])
+        cost = work.frame_cost
+        volume, periodic_cost = in_memory(cost.volume[some]), in_memory(cost.periodic)
+        cost = dataclasses.replace(cost, volume=volume, periodic=periodic_cost)
         at = MapGrid.for_map(grid, work.observation.grey.shape, work.level.shape)
         periodic = may_be_periodic(
             cost,

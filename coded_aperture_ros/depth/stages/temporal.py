@@ -2,11 +2,10 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, constant, filters, namespace, zeros
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
@@ -76,11 +75,11 @@ class Temporal(Stage):
     def both_ways(self, block: Block) -> None:
         """Add up the costs of the frames before and after each."""
         later = TemporalFilter(self._frames)
-        carried_back = [_add(later, work).copy() for work in reversed(block.works)][::-1]
+        carried_back = [_add(later, work) for work in reversed(block.works)][::-1]
         finished = block.works[: block.finished]
         for work, after in zip(finished, carried_back, strict=False):
             together = _add(self._filter, work) + after - bounded_cost(work.frame_cost.volume)
-            together -= together.min(axis=-1, keepdims=True)
+            together -= namespace(together).amin(together, -1, keepdims=True)
             work.fused_cost = together
 
     def reset(self) -> None:
@@ -91,7 +90,7 @@ class Temporal(Stage):
 def _add(costs: "TemporalFilter", work: Work) -> FloatArray:
     observation = work.observation
     return costs.add(
-        work.frame_cost.volume, observation.grey, observation.grid, observation.noise.least
+        work.frame_cost.volume, work.seen.grey, observation.grid, observation.noise.least
     )
 
 
@@ -136,22 +135,24 @@ class TemporalFilter:
             Standard deviation of the noise of `grey`.
         """
         samples = _sampled(grey, grid)
-        total = np.moveaxis(bounded_cost(volume), -1, 0)
+        xp, cv = namespace(volume), filters(volume)
+        total = xp.moveaxis(bounded_cost(volume), -1, 0)
         if self._past is not None and self._samples is not None:
             variance = 2 * (noise * _SAMPLES / grid.stride_px) ** 2
             weights, match = _matches(samples, self._samples, variance)
             # A patch's cost depends on its whole window: the past counts only if all of it still
             # matches. Otherwise moving objects would leave their costs behind.
-            match = cv2.erode(match, _window(grid))
+            match = cv.erode(match, _window(grid))
             past = _gathered(self._past, weights)
-            np.minimum(past[1:], past[:-1] + _DRIFT, out=past[1:])
-            np.minimum(past[:-1], past[1:] + _DRIFT, out=past[:-1])
+            xp.minimum(past[1:], past[:-1] + _DRIFT, out=past[1:])
+            xp.minimum(past[:-1], past[1:] + _DRIFT, out=past[:-1])
             past *= self._keep * match
             total += past
-        total -= total.min(axis=0)
-        self._past = np.minimum(total, np.float32(_LARGEST_PAST_COST))
+        total -= xp.amin(total, 0)
+        self._past = xp.clip(total, None, _LARGEST_PAST_COST)
         self._samples = samples
-        return np.moveaxis(total, 0, -1)
+        fused: FloatArray = xp.moveaxis(total, 0, -1)
+        return fused
 
 
 def _window(grid: PatchGrid) -> NDArray[np.uint8]:
@@ -166,7 +167,9 @@ def _sampled(grey: FloatArray, grid: PatchGrid) -> FloatArray:
     top, left = max(grid.top + first, 0), max(grid.left + first, 0)
     bottom, right = top + grid.rows * grid.stride_px, left + grid.columns * grid.stride_px
     size = (_SAMPLES * grid.columns, _SAMPLES * grid.rows)
-    return cv2.resize(grey[top:bottom, left:right], size, interpolation=cv2.INTER_AREA)
+    cv = filters(grey)
+    samples: FloatArray = cv.resize(grey[top:bottom, left:right], size, interpolation=cv.INTER_AREA)
+    return samples
 
 
 def _matches(
@@ -181,45 +184,48 @@ def _matches(
     match : ndarray, float32 [rows, columns]
         Similarity of the best place, 0 to 1.
     """
+    xp, cv = namespace(present), filters(present)
     spread = _smoothed(present * present) - _smoothed(present) ** 2
-    bandwidth = variance + _BANDWIDTH * np.maximum(spread, 0)
-    around = cv2.copyMakeBorder(last, *[_REACH] * 4, cv2.BORDER_REPLICATE)
+    bandwidth = variance + _BANDWIDTH * xp.clip(spread, 0, None)
+    around = cv.copyMakeBorder(last, *[_REACH] * 4, cv.BORDER_REPLICATE)
     height, width = present.shape
-    distance = np.empty(((2 * _REACH + 1) ** 2, *spread.shape), np.float32)
-    difference = np.empty_like(present)
+    distance = zeros(((2 * _REACH + 1) ** 2, *spread.shape), present)
+    difference = xp.empty_like(present)
     for shift, of_shift in enumerate(distance):
         down, right = divmod(shift, 2 * _REACH + 1)
-        np.subtract(around[down : down + height, right : right + width], present, out=difference)
-        np.multiply(difference, difference, out=difference)
+        xp.subtract(around[down : down + height, right : right + width], present, out=difference)
+        xp.multiply(difference, difference, out=difference)
         of_shift[:] = _smoothed(difference)
     distance -= variance
-    np.maximum(distance, 0, out=distance)
+    xp.clip(distance, 0, None, out=distance)
     distance /= -bandwidth
-    alike = np.exp(distance, out=distance)
-    match = alike.max(axis=0)
-    to_patches = np.kron(_SHIFT_TO_PATCHES, _SHIFT_TO_PATCHES)  # [9, shifts]
-    weights = np.tensordot(to_patches, alike, axes=1)
-    weights /= np.maximum(weights.sum(axis=0), np.float32(1e-12))
+    alike = xp.exp(distance, out=distance)
+    match = xp.amax(alike, 0)
+    to_patches = constant(np.kron(_SHIFT_TO_PATCHES, _SHIFT_TO_PATCHES), alike)  # [9, shifts]
+    weights = (to_patches @ alike.reshape(len(alike), -1)).reshape(-1, *match.shape)
+    weights /= xp.clip(weights.sum(axis=0), 1e-12, None)
     return weights.reshape(3, 3, *match.shape), match
 
 
 def _smoothed(samples: FloatArray) -> FloatArray:
     """Gaussian mean around every patch [rows, columns]."""
     size = samples.shape[1] // _SAMPLES, samples.shape[0] // _SAMPLES
-    of_patches = cv2.resize(samples, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(cv2.GaussianBlur(of_patches, (0, 0), _SIGMA), np.float32)
+    cv = filters(samples)
+    of_patches = cv.resize(samples, size, interpolation=cv.INTER_AREA)
+    smoothed: FloatArray = cv.GaussianBlur(of_patches, (0, 0), _SIGMA)
+    return smoothed
 
 
 def _gathered(past: FloatArray, weights: FloatArray) -> FloatArray:
     """Weighted mean of the neighbours' costs [L, rows, columns]."""
-    levels, rows, columns = past.shape
-    around = np.empty((levels, rows + 2, columns + 2), np.float32)
+    xp, (levels, rows, columns) = namespace(past), past.shape
+    around = zeros((levels, rows + 2, columns + 2), past)
     around[:, 1:-1, 1:-1] = past
     around[:, 0], around[:, -1] = around[:, 1], around[:, -2]
     around[:, :, 0], around[:, :, -1] = around[:, :, 1], around[:, :, -2]
-    gathered, part = np.zeros_like(past), np.empty_like(past)
+    gathered, part = xp.zeros_like(past), xp.empty_like(past)
     for i in range(3):
         for j in range(3):
-            np.multiply(around[:, i : i + rows, j : j + columns], weights[i, j], out=part)
+            xp.multiply(around[:, i : i + rows, j : j + columns], weights[i, j], out=part)
             gathered += part
     return gathered

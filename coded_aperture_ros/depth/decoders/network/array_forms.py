@@ -6,6 +6,7 @@ kind, and so are results; see `core.arrays.namespace`.
 
 import itertools
 
+import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import (
@@ -142,3 +143,28 @@ def doubled(values: FloatArray | BoolArray) -> FloatArray:
     squares = values[..., :, None, :, None]
     squares = namespace(values).broadcast_to(squares, (*more, rows, 2, columns, 2))
     return squares.reshape(*more, 2 * rows, 2 * columns)
+
+
+def put_in_squares(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
+    """Form of `gather_squares`."""
+    for quarter in range(4):
+        squares[:, quarter] = cells[channels, quarter // 2 :: 2, quarter % 2 :: 2]
+
+
+def add_up_rows(
+    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
+) -> None:
+    """Form of `add_up` for NumPy."""
+    end = first + cells.shape[1]
+    around = np.clip(np.arange(first - 1, end + 1), 0, costs.shape[1] - 1)
+    for b, cost in enumerate(costs):
+        of_cells = cells[4 * b : 4 * b + 4] + _unfolded(squares[b, :16, first // 2 : end // 2])
+        less = cv2.resize(cost[around], None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
+        size[b, 2 * first : 2 * end] = _unfolded(of_cells)[0] - less[2:-2]
+
+
+def _unfolded(of_cells: FloatArray) -> FloatArray:
+    """Half-cells [n, 2 rows, 2 columns] from the channels of cells [4 n, rows, columns]."""
+    count, rows, columns = of_cells.shape
+    quarters = np.moveaxis(of_cells.reshape(-1, 2, 2, rows, columns), (1, 2), (2, 4))
+    return quarters.reshape(count // 4, 2 * rows, 2 * columns)

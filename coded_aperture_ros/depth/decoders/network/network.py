@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from coded_aperture_ros.core.arrays import (
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.depth.decoders.network import array_forms
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     COST_CHANNELS,
@@ -39,14 +39,9 @@ def _put_loop(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> N
                     squares[n, 2 * down + 1, i, j] = cells[channel, 2 * i + down, 2 * j + 1]
 
 
-def _put_plain(cells: FloatArray, channels: IndexArray, squares: FloatArray) -> None:
-    for quarter in range(4):
-        squares[:, quarter] = cells[channels, quarter // 2 :: 2, quarter % 2 :: 2]
-
-
 # Puts some channels [n] of cells [channels, rows, columns], those of 2 x 2 cells side by side, into
 # squares [n, 4, rows / 2, columns / 2].
-gather_squares = Compiled(_put_loop, _put_plain)
+gather_squares = Compiled(_put_loop, array_forms.put_in_squares)
 
 
 def to_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
@@ -83,21 +78,10 @@ def _add_up_loop(
                 size[b, y, x + 3] = right[j + 1] + squares[b, of_right + 1, s, c] - more
 
 
-def _add_up_plain(
-    cells: FloatArray, squares: FloatArray, costs: FloatArray, first: int, size: FloatArray
-) -> None:
-    end = first + cells.shape[1]
-    around = np.clip(np.arange(first - 1, end + 1), 0, costs.shape[1] - 1)
-    for b, cost in enumerate(costs):
-        of_cells = cells[4 * b : 4 * b + 4] + to_half_cells(squares[b, :16, first // 2 : end // 2])
-        less = cv2.resize(cost[around], None, fx=2, fy=2, interpolation=cv2.INTER_LINEAR)
-        size[b, 2 * first : 2 * end] = to_half_cells(of_cells)[0] - less[2:-2]
-
-
 # Writes logits of the half-cells [>= n, 2 rows, 2 columns] of some rows of cells, from an even one
 # on: what there is of them [>= 4 n, some rows, columns] and of all squares [n, >= 16, rows / 2,
 # columns / 2], less the costs of all cells [n, rows, columns], linear between their middles.
-add_up = Compiled(_add_up_loop, _add_up_plain)
+add_up = Compiled(_add_up_loop, array_forms.add_up_rows)
 
 
 WEIGHTS = "refinement.npz"

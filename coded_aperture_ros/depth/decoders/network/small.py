@@ -4,7 +4,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, PerPatch, constant
 from coded_aperture_ros.depth.levels import Folding
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.frames import PatchGrid
@@ -51,7 +51,9 @@ def small_cost(
     nearest = _nearest_patches(observation.grid, small.grid)
     if isinstance(noise, np.ndarray):
         noise = np.ascontiguousarray(noise[nearest])
-    return small.cost(grey, noise, observation.usable[nearest])
+    usable = observation.usable
+    rows, columns = (constant(index, usable) for index in nearest)
+    return small.cost(grey, noise, usable[rows, columns])
 
 
 def _nearest_patches(of: PatchGrid, to: PatchGrid) -> tuple[IndexArray, ...]:

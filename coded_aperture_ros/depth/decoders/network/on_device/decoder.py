@@ -10,7 +10,8 @@ import torch
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape, constant
 from coded_aperture_ros.core.tensors.interpolation import interpolate
-from coded_aperture_ros.core.tensors.recorded import Recorded, Tensors, download
+from coded_aperture_ros.core.tensors.recorded import Recorded, Tensors
+from coded_aperture_ros.core.tensors.transfer import download
 from coded_aperture_ros.depth.decoders.network.array_forms import described
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide
 from coded_aperture_ros.depth.decoders.network.cells import Cells, Drawing
