@@ -1,4 +1,4 @@
-"""The depth node at the rate of a camera, over DDS on this machine.
+"""The depth node at the rate of a camera, over DDS on this machine, beside the machine's speed.
 
 One process publishes coded frames, stamped at the moment of publication; the depth node runs as a
 program of its own, as on a robot; this process subscribes to its depth images and measures them by
@@ -6,10 +6,8 @@ their stamps. Beside that stands what the node says about itself on /diagnostics
 """
 
 import argparse
-import contextlib
 import json
 import os
-import signal
 import sys
 import tempfile
 import time
@@ -18,6 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from coded_aperture_benchmarks.speed import frame_publisher
+from coded_aperture_benchmarks.speed.machine import BusyTime, machine_rates
 from coded_aperture_benchmarks.speed.node_figures import (
     COUNTERS,
     node_figures,
@@ -27,12 +27,7 @@ from coded_aperture_benchmarks.speed.node_figures import (
     stolen_s,
     stream_figures,
 )
-from coded_aperture_benchmarks.speed.node_processes import (
-    Process,
-    listener,
-    ros_node,
-    wait_for_depth,
-)
+from coded_aperture_benchmarks.speed.node_processes import Process, listener, wait_for_depth
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
@@ -43,6 +38,7 @@ from coded_aperture_ros.core.share import (
     share_directory,
     shared_memory_suffices,
 )
+from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
 from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
 
@@ -53,9 +49,6 @@ FRAMES = 8
 # What was sent last has come by then, or never will.
 _LAST_RESULTS_S = 1.0
 _INTERRUPTED = 130
-
-
-# --- The publisher's process ------------------------------------------------------------------
 
 
 def render_frames(camera_file: Path) -> NDArray[np.uint8]:
@@ -70,63 +63,6 @@ def render_frames(camera_file: Path) -> NDArray[np.uint8]:
     sensor, random = sensor_of_camera_file(camera_file, camera), np.random.default_rng(0)
     views = (luminance(panning.frame(float(time_s)).coded) for time_s in range(FRAMES))
     return np.stack([pixels_from_frame(sensor.expose(view, random), "mono8") for view in views])
-
-
-def publish_frames(frames_file: Path, camera_file: Path, rate_hz: float, log_file: Path) -> int:
-    """Publish frames in a loop until SIGINT, then write down when; return the exit status.
-
-    The deadlines are those of a steady clock and do not depend on each other. Like a camera, the
-    publisher leaves a frame out rather than sending two at once to catch up.
-    """
-    stopping: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: stopping.append(number))
-    sent_ns: list[int] = []
-    late_ms: list[float] = []
-    left_out = 0
-    with publisher(frames_file, camera_file) as publish:
-        period_s = 1.0 / rate_hz
-        begun_s, turn = time.monotonic(), 0
-        while not stopping:
-            due_s = begun_s + turn * period_s
-            time.sleep(max(due_s - time.monotonic(), 0.0))
-            late_ms.append(1000 * (time.monotonic() - due_s))
-            sent_ns.append(publish(len(sent_ns)))
-            turn, before = max(turn + 1, int((time.monotonic() - begun_s) / period_s)), turn
-            left_out += turn - before - 1
-    log = {"sent_ns": sent_ns, "late_ms": late_ms, "left_out": left_out}
-    log_file.write_text(json.dumps(log))
-    return 0
-
-
-@contextlib.contextmanager
-def publisher(frames_file: Path, camera_file: Path) -> Iterator[Any]:
-    """Run a node that publishes; yield a function that sends a frame and returns its stamp."""
-    import rclpy
-    from sensor_msgs.msg import CameraInfo, Image
-    from std_msgs.msg import Header
-
-    from coded_aperture_ros.optics import load_camera
-    from coded_aperture_ros.ros.messages import camera_info_from_camera, image_from_array
-    from coded_aperture_ros.ros.topics import Outputs
-
-    with ros_node("frame_publisher") as (node, _):
-        header = Header(frame_id="camera_optical_frame")
-        info = camera_info_from_camera(load_camera(camera_file), header)
-        images = [image_from_array(pixels, "mono8", header) for pixels in np.load(frames_file)]
-        outputs = Outputs(node, {"image_raw": Image, "camera_info": CameraInfo}, None)
-        outputs.open()
-
-        def publish(number: int) -> int:
-            image = images[number % len(images)]
-            now_ns = time.time_ns()
-            stamp = rclpy.time.Time(nanoseconds=now_ns).to_msg()
-            image.header.stamp = info.header.stamp = stamp
-            outputs.send("image_raw", image)
-            outputs.send("camera_info", info)
-            return now_ns
-
-        yield publish
 
 
 def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> list[str]:
@@ -148,15 +84,6 @@ def node_arguments(camera_file: Path, reliable: bool, given: Sequence[str]) -> l
 def _is_given(parameter: str, given: Sequence[str]) -> bool:
     name = parameter.partition(":=")[0]
     return any(other.partition(":=")[0] == name for other in given)
-
-
-# --- The benchmark ----------------------------------------------------------------------------
-
-
-def _publishing(frames_file: Path, rate_hz: float, sent_file: Path) -> list[str]:
-    """Return the command line of the publisher, this program."""
-    program = [str(Path(__file__).resolve()), "--publish", str(frames_file)]
-    return [*program, "--rates", str(rate_hz), "--sent", str(sent_file)]
 
 
 def measure(
@@ -187,8 +114,11 @@ def measure(
     """
     camera_file = share_directory() / "config" / CAMERA_FILE
     sent_file = folder / "sent.json"
-    publishing = _publishing(folder / "frames.npy", rate_hz, sent_file)
+    publishing = frame_publisher.arguments(folder / "frames.npy", camera_file, rate_hz, sent_file)
     arguments = node_arguments(camera_file, reliable, parameters)
+    # Beside other programs it is what they leave, and swings: before and after.
+    threads = thread_count(0)
+    gflop_before = machine_rates(threads).gemm_gflop_s
     with (
         Process(arguments, folder / "depth_node.log") as node,
         Process(publishing, folder / "publisher.log") as frames,
@@ -196,9 +126,11 @@ def measure(
     ):
         wait_for_depth(onlooker, (node, frames))
         onlooker.listen(warm_up_s, (node, frames))
+        began, used_before_s = BusyTime.now(), _used_s(node, frames)
         begun_ns, before, stolen_before_s = time.time_ns(), process_figures(node.pid), stolen_s()
         onlooker.listen(seconds, (node, frames))
         ended_ns, after, stolen_after_s = time.time_ns(), process_figures(node.pid), stolen_s()
+        other_cores = began.cores() - (_used_s(node, frames) - used_before_s) / seconds
         frames.interrupt()  # and receive meanwhile, so that the last frames are not late
         onlooker.listen(_LAST_RESULTS_S, (node,))
         frames.end()
@@ -212,11 +144,18 @@ def measure(
         "seconds": seconds,
         "parameters": list(parameters),
         "publisher": {"late_ms_p99": late_ms_p99, "left_out": sent["left_out"]},
+        "gflop_s": [round(rate, 1) for rate in (gflop_before, machine_rates(threads).gemm_gflop_s)],
+        "other_cores": round(max(other_cores, 0.0), 2),
         "stolen_cores": round((stolen_after_s - stolen_before_s) / seconds, 3),
         "depth": stream_figures(sent["sent_ns"], onlooker.received, begun_ns, ended_ns),
         "node": node_figures(onlooker.statuses, sent["sent_ns"], begun_ns, ended_ns),
         "process": run_figures(before, after, seconds),
     }
+
+
+def _used_s(*processes: Process) -> float:
+    """Processor time of the benchmark and its processes so far, s."""
+    return time.process_time() + sum(process_figures(each.pid)["processor_s"] for each in processes)
 
 
 def table(runs: Sequence[dict[str, Any]]) -> list[str]:
@@ -241,6 +180,9 @@ def rows(run: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     yield "frames sent", depth["sent"]
     yield "publisher late, p99 ms", run["publisher"]["late_ms_p99"]
     yield "publisher left out", run["publisher"]["left_out"]
+    before, after = run["gflop_s"]
+    yield "float32 matrix products before and after, GFLOP/s", f"{before:g} {after:g}"
+    yield "cores that other programs took", run["other_cores"]
     yield "processors that the host withheld", run["stolen_cores"]
     yield "depth received", depth["received"]
     yield "depth received, Hz", depth["received_hz"]
@@ -300,8 +242,12 @@ def parse_arguments() -> argparse.Namespace:
         metavar="HZ",
         help="frames per second, one measurement each (default 30)",
     )
-    parser.add_argument(
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument(
         *("--seconds",), type=_positive, default=60.0, help="how long to measure (default 60)"
+    )
+    length.add_argument(
+        *("--minutes",), type=_minutes, dest="seconds", metavar="M", help="the same, in minutes"
     )
     parser.add_argument(
         *("--warm-up",), type=_positive, default=5.0, metavar="SECONDS", help="before (default 5)"
@@ -316,9 +262,6 @@ def parse_arguments() -> argparse.Namespace:
         help="parameter of the depth node, such as stride_px:=16; may be repeated",
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
-    # This program is also the publisher that it starts.
-    parser.add_argument("--publish", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--sent", type=Path, help=argparse.SUPPRESS)
     return parser.parse_args()
 
 
@@ -327,6 +270,10 @@ def _positive(text: str) -> float:
     if not 0.1 <= value <= 86_400.0:
         raise argparse.ArgumentTypeError("expected 0.1 to 86400")
     return value
+
+
+def _minutes(text: str) -> float:
+    return 60.0 * _positive(text)
 
 
 def _parameter(text: str) -> str:
@@ -338,9 +285,6 @@ def _parameter(text: str) -> str:
 def main() -> int:
     """Print the table."""
     args = parse_arguments()
-    if args.publish:
-        camera_file = share_directory() / "config" / CAMERA_FILE
-        return publish_frames(args.publish, camera_file, args.rates[0], args.sent)
     try:
         with sigterm_like_ctrl_c():
             runs = run_benchmark(args)

@@ -160,11 +160,12 @@ def frame_size(rows: int, columns: int, what: str = "the frames") -> Add:
     text = f"of {what}, px"
     default = (rows, columns)
     return option(
-        "--size", text, default, said=f"{columns}x{rows}", nargs=None, type=_size, metavar="WxH"
+        "--size", text, default, said=f"{columns}x{rows}", nargs=None, type=size, metavar="WxH"
     )
 
 
-def _size(text: str) -> tuple[int, int]:
+def size(text: str) -> tuple[int, int]:
+    """Return rows and columns of a text such as 640x480."""
     width, times, height = text.lower().partition("x")
     if not (times and width.isdecimal() and height.isdecimal() and int(width) and int(height)):
         raise argparse.ArgumentTypeError(f"expected a size like 640x480, got {text!r}")

@@ -82,7 +82,9 @@ def points_of_frame(
     return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), rays)
 
 
-def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:
+def nearest_obstacle_m(
+    depth_m: FloatArray, share: float, measured_m: FloatArray | None = None
+) -> float:
     """Distance of the nearest obstacle that covers a share of the map, m.
 
     Parameters
@@ -92,6 +94,9 @@ def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:
     share : float
         Share of the map's pixels, in (0, 1], that the obstacle covers at least; it excludes single
         wrong pixels.
+    measured_m : ndarray, float32 [rows, columns], optional
+        Depth of what is too near, before it became -inf: a little nearer than a range of depths it
+        is measured all the same.
 
     Returns
     -------
@@ -108,6 +113,8 @@ def nearest_obstacle_m(depth_m: FloatArray, share: float) -> float:
     1.5
     """
     sparse_m = depth_m[::_SPARSE, ::_SPARSE]
+    if measured_m is not None and (too_near := sparse_m == -np.inf).any():
+        sparse_m = np.where(too_near, measured_m[::_SPARSE, ::_SPARSE], sparse_m)
     known = sparse_m[~np.isnan(sparse_m)]
     count = max(1, math.ceil(share * sparse_m.size))
     if known.size < count:

@@ -217,14 +217,13 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank's levels have no depth: use a bank for this camera file")
         depth_m = limit_depth(estimate.depth_m, *self._range_m)
-        std_dev_m = np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)
-        self._send_maps(estimate, depth_m, std_dev_m, header)
+        self._send_maps(estimate, depth_m, header)
         self._send_layers(estimate, header)
         if complaint := driver.complaint(self._model.whole, shape):
             self.reject("camera_info", complaint)
         info = driver.info(self._model.whole, shape, size, header)
         self.send(_INFO, info)
-        self._send_points(frame, estimate, (depth_m, std_dev_m), info)
+        self._send_points(frame, estimate, depth_m, info)
         figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
         self.finish_frame(header, estimate.seconds, figures, misfit)
 
@@ -253,14 +252,13 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         """Nearest and farthest depth that are published as numbers, m."""
         return self._model_config.near_m, self._model_config.far_m or math.inf
 
-    def _send_maps(
-        self, estimate: DepthEstimate, depth_m: FloatArray, std_dev_m: FloatArray, header: Header
-    ) -> None:
+    def _send_maps(self, estimate: DepthEstimate, depth_m: FloatArray, header: Header) -> None:
         """Publish the core results: depth, confidence and standard deviation."""
         self._send_depth(DEPTH, lambda: depth_m, header)
         self._send_depth(DEPTH_MM, lambda: millimetres_from_depth(depth_m), header)
         self._send_map(CONFIDENCE, estimate.confidence, header)
-        self._send_map(STD_DEV, std_dev_m, header)
+        if self.wants(STD_DEV.topic):
+            self._send_map(STD_DEV, _std_dev_m(estimate, depth_m), header)
 
     def _send_depth(
         self, spec: LayerSpec, depth: Callable[[], NDArray[Any]], header: Header
@@ -287,14 +285,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._motion_note = "" if motion is None else motion.note
 
     def _send_points(
-        self,
-        frame: Frame,
-        estimate: DepthEstimate,
-        depth_and_deviation_m: tuple[FloatArray, FloatArray],
-        info: CameraInfo,
+        self, frame: Frame, estimate: DepthEstimate, depth_m: FloatArray, info: CameraInfo
     ) -> None:
         """Publish the point clouds of depth and of the layers that have one."""
-        depth_m, std_dev_m = depth_and_deviation_m
         clouds = {DEPTH.points_topic: depth_m}
         for layer in estimate.layers.values():
             if layer.spec.points_topic:
@@ -307,6 +300,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         rays = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
         light = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
         colours = pixels_from_frame(light, "rgb8", self.frame_config.gamma)
+        std_dev_m = _std_dev_m(estimate, depth_m)
         near_m = self._model_config.near_m
         far_m = self.configs[DepthNodeConfig].points_far_m
         for topic in wanted:
@@ -319,10 +313,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self, estimate: DepthEstimate, measured_m: FloatArray, depth_m: FloatArray
     ) -> tuple[dict[str, float], Complaint | None]:
         """Figures of a frame for diagnostics, and the complaint about it, if any."""
-        # Depths a little nearer than the range are published as -Inf, but were measured.
-        seen_m = np.where(depth_m == -np.inf, measured_m, depth_m)
         share = self.configs[DepthNodeConfig].obstacle_share
-        figures = {"nearest_obstacle_m": nearest_obstacle_m(seen_m, share)}
+        figures = {"nearest_obstacle_m": nearest_obstacle_m(depth_m, share, measured_m)}
         health = estimate.health
         if health is None:
             return figures, None
@@ -356,3 +348,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self._restarting.clear()
             pipeline.reset()
         return pipeline
+
+
+def _std_dev_m(estimate: DepthEstimate, depth_m: FloatArray) -> FloatArray:
+    """Standard deviation of the depth as published, m: infinite where that is."""
+    assert estimate.std_dev_m is not None  # `process` has looked
+    return np.where(np.isinf(depth_m), np.float32(np.inf), estimate.std_dev_m)

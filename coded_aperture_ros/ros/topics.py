@@ -6,12 +6,14 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any
 
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import InvalidQosOverridesError, QoSOverridingOptions
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.ros.incompatible_subscribers import IncompatibleSubscribers
 
 # Makes history, depth and reliability of every topic parameters.
 _OVERRIDABLE = QoSOverridingOptions.with_default_policies()
@@ -88,6 +90,7 @@ class Outputs:
         self._types = dict(types)
         self._local = local
         self._publishers: dict[str, Any] = {}
+        self._incompatible: IncompatibleSubscribers | None = None
         self._names = {topic: node.resolve_topic_name(topic) for topic in types}
         if local is not None:
             for name in self._names.values():
@@ -99,11 +102,19 @@ class Outputs:
             qos = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
             with _readable_qos_errors(topic):
                 self._publishers[topic] = self._node.create_publisher(
-                    message_type, topic, qos, qos_overriding_options=_OVERRIDABLE
+                    message_type,
+                    topic,
+                    qos,
+                    event_callbacks=PublisherEventCallbacks(use_default_callbacks=False),
+                    qos_overriding_options=_OVERRIDABLE,
                 )
+        self._incompatible = IncompatibleSubscribers(self._node, self._publishers)
 
     def close(self) -> None:
         """Destroy the publishers."""
+        if self._incompatible is not None:
+            self._incompatible.close()
+            self._incompatible = None
         publishers, self._publishers = self._publishers, {}
         for publisher in publishers.values():
             self._node.destroy_publisher(publisher)

@@ -1,10 +1,12 @@
 """What the machine can do, and the least time that some work takes on it."""
 
 import dataclasses
+import os
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -99,6 +101,26 @@ def machine_rates(threads: int) -> Rates:
         copy_gb_s=moved / min(copy_s) / 1e9,
         copy_p50_gb_s=moved / float(np.median(copy_s)) / 1e9,
     )
+
+
+@dataclasses.dataclass(frozen=True)
+class BusyTime:
+    """Processor time that all programs have taken until a moment, s."""
+
+    at_s: float
+    busy_s: float
+
+    @classmethod
+    def now(cls) -> "BusyTime":
+        """Until now; user, nice, system, interrupts of the first line of /proc/stat."""
+        of_all = Path("/proc/stat").read_text().splitlines()[0].split()
+        ticks = sum(int(of_all[field]) for field in (1, 2, 3, 6, 7))
+        return cls(time.monotonic(), ticks / os.sysconf("SC_CLK_TCK"))
+
+    def cores(self) -> float:
+        """Number of cores that were busy since then, all programs together."""
+        now = BusyTime.now()
+        return (now.busy_s - self.busy_s) / (now.at_s - self.at_s)
 
 
 def seconds_in_threads(work: Callable[[int], None], threads: int, repeats: int) -> list[float]:

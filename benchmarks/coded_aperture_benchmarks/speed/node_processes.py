@@ -1,6 +1,7 @@
 """The processes of a node that is measured, and the subscriber that watches it."""
 
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -119,6 +120,7 @@ class Process:
                 stdin=subprocess.DEVNULL,
                 stdout=log,
                 stderr=subprocess.STDOUT,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
             )
         self.pid = self._process.pid
 

@@ -31,12 +31,15 @@ class CameraInfos:
         self._refuse = refuse
         self._newest: Any = None
         self._by_stamp: dict[int, Any] = {}
+        self._checked: tuple[Any, ...] | None = (
+            None  # content of the last model that was not refused
+        )
 
     def receive(self, info: Any) -> None:
         """Keep a model."""
         try:
             if has_matrices(info):
-                check_camera_info(info)
+                self._check(info)
         except MessageError as error:
             self._refuse(f"{error}; using the camera_info before it, or else the camera file")
             self._keep_region(info)
@@ -62,6 +65,17 @@ class CameraInfos:
     def forget_stamps(self) -> None:
         """Keep the newest model only: stamps repeat after the clock has jumped back."""
         self._by_stamp = {}
+
+    def _check(self, info: Any) -> None:
+        """Check a model, unless it has the content of the last one: cameras repeat it every frame.
+
+        The check takes .2 ms, and the frame waits for it.
+        """
+        matrices = (tuple(getattr(info, name)) for name in "dkrp")
+        content = (info.width, info.height, info.distortion_model, *matrices)
+        if content != self._checked:
+            check_camera_info(info)
+            self._checked = content
 
     def _keep_region(self, info: Any) -> None:
         known = self._newest is not None and has_matrices(self._newest)

@@ -96,13 +96,18 @@ def limit_depth(depth_m: FloatArray, near_m: float = 0.0, far_m: float = np.inf)
     """Depth map in m, float32 [row, column], with depths outside the range marked as in REP 117.
 
     -Inf where nearer than `near_m`, +Inf where farther than `far_m`, NaN where the depth is
-    unknown: unknown is never called far.
+    unknown: unknown is never called far. It is the map itself where nothing is to be marked.
     """
-    depth_m = depth_m.astype(np.float32, copy=True)
+    limited_m = depth_m.astype(np.float32, copy=False)
     # The outermost levels of a bank are the ends of the range but for rounding.
-    depth_m[depth_m < near_m * (1 - _DEPTH_ROUNDING)] = -np.inf
-    depth_m[depth_m > far_m * (1 + _DEPTH_ROUNDING)] = np.inf
-    return depth_m
+    for outside, marked in (
+        (limited_m < near_m * (1 - _DEPTH_ROUNDING), np.float32(-np.inf)),
+        (limited_m > far_m * (1 + _DEPTH_ROUNDING), np.float32(np.inf)),
+    ):
+        # Most often nothing is: finding that out takes a twentieth of the time of marking.
+        if outside.any():
+            limited_m = np.where(outside, marked, limited_m)
+    return limited_m
 
 
 def limit_layer(
