@@ -73,7 +73,7 @@ OF_THE_PROGRAM: dict[str, Group | Entry] = {
 # What `python -m coded_aperture_benchmarks` offers.
 BENCHMARKS: dict[str, Group | Entry] = {
     **OF_THE_PROGRAM,
-    "against": Entry("time of a frame, beside OpenCV's stereo matching", "suites.against"),
+    "against": Entry("time of a frame, beside stereo matching and a network", "suites.against"),
     "transport": Entry("from stamp to depth without the work, over DDS", "suites.transport"),
     "motion": MOTION,
     "masks": Entry("predicted against measured errors of random masks", "suites.masks"),

@@ -1,4 +1,4 @@
-"""Time of a frame beside what else would give a depth map: OpenCV's stereo matching."""
+"""Time of a frame beside what else would give a depth map: stereo, and a monocular network."""
 
 import dataclasses
 import time
@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_benchmarks import options
+from coded_aperture_benchmarks.methods.monocular import INPUT_PX, Monocular, unsupported_reason
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed.frames import moving_frames
 from coded_aperture_benchmarks.speed.grid import BLUR_PX
@@ -32,6 +33,10 @@ _MEMORY = 4.0
 _WARM_UP = 2
 
 Way = Callable[[int], object]
+# What a way is given.
+_OWN = "one coded frame"
+_PAIR = "two sharp frames of two cameras"
+_SHARP = "one sharp frame; no metres"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,8 +59,14 @@ def measure(cell: Cell) -> Row:
     stack = render_psf_stack(mask, np.linspace(*BLUR_PX))
     bank = learn_bank(stack, mask=mask)
     took: dict[str, list[tuple[float, float]]] = {}
+    network = None if unsupported_reason() else Monocular(threads)
     with opencv_threads(threads), ExitStack() as until_measured:
-        ways = {**_own(bank, cell.size, threads, until_measured), **_stereo(stack, cell.size)}
+        given = {
+            _OWN: _own(bank, cell.size, threads, until_measured),
+            _PAIR: _stereo(stack, cell.size),
+            _SHARP: {} if network is None else _monocular(network, stack, cell.size),
+        }
+        ways = {name: way for of_kind in given.values() for name, way in of_kind.items()}
         for number in range(_WARM_UP + cell.frames):
             for name, way in ways.items():
                 wall_s, processor_s = time.perf_counter(), time.process_time()
@@ -63,11 +74,24 @@ def measure(cell: Cell) -> Row:
                 took.setdefault(name, []).append(
                     (time.perf_counter() - wall_s, time.process_time() - processor_s)
                 )
-    rows = []
-    for name, seconds in took.items():
-        wall_ms, processor_ms = 1000 * np.median(seconds[_WARM_UP:], axis=0)
-        rows.append({"way": name, "ms": float(wall_ms), "processor_ms": float(processor_ms)})
-    return {"threads": threads, "gflop_s": machine_rates(threads).gemm_gflop_s, "rows": rows}
+    rows = [
+        {"way": name, "given": what, **_times(took[name][_WARM_UP:])}
+        for what, of_kind in given.items()
+        for name in of_kind
+    ]
+    found = {"threads": threads, "gflop_s": machine_rates(threads).gemm_gflop_s, "rows": rows}
+    if network is not None:
+        found["network"] = {
+            "parameters": network.model.parameters,
+            "multiply_adds": network.model.multiply_adds,
+        }
+    return found
+
+
+def _times(seconds: Sequence[tuple[float, float]]) -> Row:
+    wall_ms, processor_ms = 1000 * np.median(seconds, axis=0)
+    p90_ms = 1000 * float(np.percentile([wall_s for wall_s, _ in seconds], 90))
+    return {"ms": float(wall_ms), "p90_ms": p90_ms, "processor_ms": float(processor_ms)}
 
 
 def _own(
@@ -115,24 +139,42 @@ def _match(matcher: Any, pair: tuple[Any, Any], _: int) -> None:
     matcher.compute(*pair)
 
 
+def _monocular(network: Monocular, stack: PsfStack, size: Size) -> Mapping[str, Way]:
+    """Network of the size of MiDaS small, on a colour picture."""
+    grey = (255 * moving_frames(stack, size, count=1)[0]).astype(np.uint8)
+    picture = np.repeat(grey[..., None], 3, axis=2)
+    return {f"network as MiDaS small, {INPUT_PX} px": lambda _: network(picture)}
+
+
 def _text(results: Row) -> str:
     found = results["cells"][0]
     described: dict[str, Any] = {
         "": "{way}",
+        "given": "{given}",
         "time, ms": "{ms:.1f}",
+        "90 %": "{p90_ms:.1f}",
         "processor time, ms": "{processor_ms:.1f}",
     }
+    network = found.get("network")
+    about = (
+        f"network: {network['parameters'] / 1e6:.1f} million parameters, random, "
+        f"{network['multiply_adds'] / 1e9:.2f} billion multiply-adds"
+        if network
+        else unsupported_reason()
+    )
     return (
         f"medians; {found['threads']} thread(s), {found['gflop_s']:.0f} GFLOP/s in float32 matrix "
-        f"products; stereo with {_DISPARITIES} disparities\n{columns(found['rows'], described)}"
+        f"products; stereo with {_DISPARITIES} disparities\n{about}\n"
+        f"{columns(found['rows'], described)}"
     )
 
 
 SUITE = Suite(
     name="against",
     description="Time of a frame, and how much of the processors' time it takes, beside OpenCV's "
-    "stereo matching of two pictures of the same size; all take turns in one run. It says nothing "
-    "about accuracy.",
+    "stereo matching of two pictures of the same size, and a monocular network of the size of "
+    "MiDaS small (with random weights; needs onnx and onnxruntime); all take turns in one run. It "
+    "says nothing about accuracy.",
     examples="""examples:
   frames of 640x480:
     python -m coded_aperture_benchmarks against
