@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from coded_aperture_benchmarks.speed import frame_publisher
-from coded_aperture_benchmarks.speed.machine import BusyTime, machine_rates
+from coded_aperture_benchmarks.speed.machine import machine_rates
 from coded_aperture_benchmarks.speed.node_figures import (
     COUNTERS,
     node_figures,
@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
+from coded_aperture_ros.core.machine import BusyTime, processor_time_s
 from coded_aperture_ros.core.share import (
     SHARED_MEMORY_MB,
     private_network,
@@ -155,7 +156,7 @@ def measure(
 
 def _used_s(*processes: Process) -> float:
     """Processor time of the benchmark and its processes so far, s."""
-    return time.process_time() + sum(process_figures(each.pid)["processor_s"] for each in processes)
+    return time.process_time() + sum(processor_time_s(each.pid) for each in processes)
 
 
 def table(runs: Sequence[dict[str, Any]]) -> list[str]:

@@ -11,24 +11,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.cli.command import Command, argument
+from coded_aperture_ros.cli.demo_cores import SharedCores
 from coded_aperture_ros.cli.demo_processes import Children
 from coded_aperture_ros.cli.demo_report import (
     RESULTS,
     Speaker,
+    cores_line,
     figures_of_snapshot,
+    stream_figures,
     summarise,
     table,
     write_results,
 )
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import check_output
+from coded_aperture_ros.core.machine import product_rates
 from coded_aperture_ros.core.share import (
     SHARED_MEMORY_MB,
     private_network,
     share_directory,
     shared_memory_suffices,
 )
-from coded_aperture_ros.core.workers import processors
+from coded_aperture_ros.core.workers import processors, thread_count
 from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT, learn_bank_for_camera, save_bank
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
@@ -49,6 +53,8 @@ _NO_RESULTS = "no depth and all-in-focus frames"
 _NO_SNAPSHOT = (
     "too little processor time, or shared memory (/dev/shm) too small: no frame through all nodes"
 )
+# Depth without deblurring, and with no subscriber to anything else.
+_ALONE_S = 5.0
 _REDRAW_S = 0.5
 _LINE_S = 5.0
 _RELIABLE_INPUTS = {
@@ -79,8 +85,10 @@ def run(args: Arguments) -> int:
     if not shared_memory:
         say.line(f"/dev/shm has less than {SHARED_MEMORY_MB} MB: sending images by UDP (slower)")
     # Only now: rclpy reads the environment when it is imported and started.
-    from coded_aperture_ros.ros.demo_monitor import running_monitor
+    from coded_aperture_ros.ros.demo_monitor import DEPTH, running_monitor
 
+    threads = thread_count(0)
+    machine = {"threads": threads, "gflop_s": round(max(product_rates(threads)), 1)}
     with (
         tempfile.TemporaryDirectory(prefix="coded_aperture-demo-") as folder,
         Children(Path(folder)) as children,
@@ -94,10 +102,17 @@ def run(args: Arguments) -> int:
         say.line(f"starting {', '.join(NODES)} (ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']})")
         with running_monitor(reliable=not shared_memory) as monitor:
             _wait(monitor.has_results, children, _START_TIMEOUT_S, _NO_RESULTS)
+            cores = SharedCores(children.processor_s)
             _measure(monitor, children, say, args.seconds)
-            summary = summarise(monitor, args.seconds)
+            summary = {**summarise(monitor, args.seconds), "machine": machine}
+            summary["cores"] = cores.shares()
             monitor.want_true_image()
             snapshot = _wait(monitor.snapshot, children, _SNAPSHOT_TIMEOUT_S, _NO_SNAPSHOT)
+        children.end("deblur_node")
+        with running_monitor(reliable=not shared_memory, topics=(DEPTH,)) as monitor:
+            _wait(monitor.has_results, children, _START_TIMEOUT_S, "no depth")
+            summary["depth_alone"] = _measure_alone(monitor, children)
+    say.line(cores_line(summary))
     summary.update(levels=DEFAULT_LEVEL_COUNT, **figures_of_snapshot(snapshot))
     say.line(
         f"PSNR against the sharp scene: {summary['psnr_coded_db']:.1f} dB coded, "
@@ -147,11 +162,26 @@ def _measure(monitor: "DemoMonitor", children: Children, say: Speaker, seconds: 
     say.table([f"{seconds:g} s", *table(summarise(monitor, seconds))])
 
 
+def _measure_alone(monitor: "DemoMonitor", children: Children) -> dict[str, Any]:
+    """Figures of depth while the camera and its node have the machine to themselves."""
+    from coded_aperture_ros.ros.demo_monitor import DEPTH
+
+    monitor.begin()
+    cores = SharedCores(children.processor_s)
+    ends_s = time.monotonic() + _ALONE_S
+    while time.monotonic() < ends_s:
+        children.check()
+        time.sleep(0.05)
+    figures = stream_figures(monitor.arrivals(DEPTH), _ALONE_S)
+    return {"seconds": _ALONE_S, **figures, "cores": cores.shares()}
+
+
 COMMAND = Command(
     Arguments,
     run,
     description="Run camera driver (simulating a camera that pans over a real scene), depth "
-    "node and deblurring node as three processes over DDS; show rate, latency and accuracy; "
-    "leave pictures, summary.json and a page with both beside the truth, index.html.",
+    "node and deblurring node as three processes over DDS; show rate, latency and accuracy, and "
+    "who took the processors; then the rate of depth without deblurring; leave pictures, "
+    "summary.json and a page with both beside the truth, index.html.",
     examples="example:\n  coded_aperture demo --output results --seconds 10\n",
 )

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.machine import processor_time_s
 
 _LAST_LINES = 15
+_END_TIMEOUT_S = 5.0
 # Niceness counts only within a session (Linux autogroups), so the nodes stay in this one; Ctrl-C
 # then reaches them too, which they take as it is meant. With 19 a busy computer would leave
 # deblurring nothing.
@@ -30,7 +32,7 @@ class Children(AbstractContextManager["Children"]):
         for process in self._processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGINT)
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + _END_TIMEOUT_S
         for process in self._processes.values():
             try:
                 process.wait(max(0.1, deadline - time.monotonic()))
@@ -55,6 +57,25 @@ class Children(AbstractContextManager["Children"]):
         for node, process in self._processes.items():
             if process.poll() is not None:
                 raise InputError(f"{node} ended with status {process.returncode}:{self.said(node)}")
+
+    def processor_s(self) -> dict[str, float]:
+        """Processor time that each node has taken so far, s."""
+        return {
+            node: processor_time_s(process.pid)
+            for node, process in self._processes.items()
+            if process.poll() is None
+        }
+
+    def end(self, node: str) -> None:
+        """End one node; it is not checked any more."""
+        process = self._processes[node]
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(_END_TIMEOUT_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        del self._processes[node]
 
     def said(self, node: str) -> str:
         """Return the last lines that a node has written."""

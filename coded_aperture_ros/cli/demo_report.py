@@ -33,7 +33,6 @@ _LARGEST_ERROR = 0.1
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
     """Return what was measured, ready for JSON; latencies are from the stamp to the reception."""
     from coded_aperture_ros.ros import demo_monitor
-    from coded_aperture_ros.ros.diagnostics import percentiles
 
     summary: dict[str, Any] = {"seconds": seconds}
     for name, topic, node in (
@@ -41,21 +40,40 @@ def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
         ("depth", demo_monitor.DEPTH, "depth_node"),
         ("deblur", demo_monitor.DEBLURRED, "deblur_node"),
     ):
-        arrivals = monitor.arrivals(topic)
-        of_second = np.bincount([int(at_s) for at_s, _ in arrivals], minlength=int(seconds))
-        latencies_s = percentiles([latency_s for _, latency_s in arrivals]) or (math.nan,) * 3
-        summary[name] = {
-            "frames": len(arrivals),
-            "rate_hz": round(len(arrivals) / seconds, 3),
-            "frames_in_each_second": of_second[: int(seconds)].tolist(),
-            **dict(zip(_LATENCIES, (rounded(s, 4) for s in latencies_s), strict=True)),
-        }
+        summary[name] = stream_figures(monitor.arrivals(topic), seconds)
         if node is not None:
             summary[name] |= {key: monitor.count(node, key) for key in ("dropped", "rejected")}
     errors = monitor.depth_errors()
     summary["depth"]["median_relative_error"] = _median([e.median_relative for e in errors])
     summary["depth"]["coverage"] = _median([e.coverage for e in errors])
     return summary
+
+
+def stream_figures(arrivals: Sequence[tuple[float, float]], seconds: float) -> dict[str, Any]:
+    """Return rate and latency of messages by their arrival and latency, s, ready for JSON."""
+    from coded_aperture_ros.ros.diagnostics import percentiles
+
+    of_second = np.bincount([int(at_s) for at_s, _ in arrivals], minlength=int(seconds))
+    latencies_s = percentiles([latency_s for _, latency_s in arrivals]) or (math.nan,) * 3
+    return {
+        "frames": len(arrivals),
+        "rate_hz": round(len(arrivals) / seconds, 3),
+        "frames_in_each_second": of_second[: int(seconds)].tolist(),
+        **dict(zip(_LATENCIES, (rounded(s, 4) for s in latencies_s), strict=True)),
+    }
+
+
+def cores_line(summary: dict[str, Any]) -> str:
+    """Return who took the processors, the machine's speed, and what depth did alone."""
+    machine, alone = summary["machine"], summary["depth_alone"]
+    shares = ", ".join(f"{name} {cores:.2f}" for name, cores in summary["cores"].items())
+    alone_ms = alone["latency_median_s"]
+    latency = "-" if alone_ms is None else f"{1000 * alone_ms:.0f} ms"
+    return (
+        f"cores taken: {shares}; of this machine {machine['threads']} threads have "
+        f"{machine['gflop_s']:.0f} GFLOP/s in float32 matrix products\n"
+        f"depth without deblurring: {alone['rate_hz']:.1f} Hz, {latency}"
+    )
 
 
 def write_results(output: Path, snapshot: dict[str, NDArray], summary: dict[str, Any]) -> None:

@@ -3,6 +3,7 @@
 import threading
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -25,6 +26,7 @@ DEPTH = core_maps.DEPTH.topic
 CONFIDENCE = core_maps.CONFIDENCE.topic
 TRUE_DEPTH = "ground_truth/depth"
 TRUE_IMAGE = "ground_truth/image"
+ALL = (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_DEPTH)
 _MEASURED = (CODED, DEPTH, DEBLURRED)
 _PICTURES = (CODED, DEBLURRED, TRUE_IMAGE)
 _MAPS = (DEPTH, CONFIDENCE, TRUE_DEPTH)
@@ -37,9 +39,9 @@ _KEPT_ERRORS = 2000
 
 
 class DemoMonitor(Node):
-    """Subscribes to all topics, counts results, and compares depth with the ground truth."""
+    """Subscribes to topics, counts results, and compares depth with the ground truth."""
 
-    def __init__(self, context: Context, reliable: bool) -> None:
+    def __init__(self, context: Context, reliable: bool, topics: Sequence[str] = ALL) -> None:
         super().__init__("demo_monitor", context=context)
         wanted = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         self._qos = QoSProfile(depth=5, reliability=wanted)
@@ -50,7 +52,8 @@ class DemoMonitor(Node):
         self._reported: dict[str, dict[str, str]] = {}
         self._before: dict[str, dict[str, str]] = {}
         self._begun_s = time.monotonic()
-        for topic in (CODED, DEPTH, CONFIDENCE, DEBLURRED, TRUE_DEPTH):
+        self._awaited = [topic for topic in (DEPTH, DEBLURRED) if topic in topics]
+        for topic in topics:
             self._subscribe(topic)
         self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
@@ -66,7 +69,7 @@ class DemoMonitor(Node):
     def has_results(self) -> bool:
         """Whether some results of each node have come since `begin`."""
         with self._lock:
-            return all(len(self._arrivals[topic]) >= _FIRST_FRAMES for topic in (DEPTH, DEBLURRED))
+            return all(len(self._arrivals[topic]) >= _FIRST_FRAMES for topic in self._awaited)
 
     def arrivals(self, topic: str) -> list[tuple[float, float]]:
         """Time of each message of a measured topic, s from `begin`, and its latency, s.
@@ -144,6 +147,8 @@ def map_error(depth_m: FloatArray, confidence: FloatArray, true_depth_m: FloatAr
     return depth_error(depth_m, confidence, resize_reference(true_depth_m, depth_m.shape))
 
 
-def running_monitor(reliable: bool = False) -> AbstractContextManager[DemoMonitor]:
+def running_monitor(
+    reliable: bool = False, topics: Sequence[str] = ALL
+) -> AbstractContextManager[DemoMonitor]:
     """Run a monitor in a thread; with `reliable`, lost images are sent again."""
-    return node_in_thread(lambda context: DemoMonitor(context, reliable), "monitor")
+    return node_in_thread(lambda context: DemoMonitor(context, reliable, topics), "monitor")

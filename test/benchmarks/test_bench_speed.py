@@ -15,6 +15,7 @@ from coded_aperture_benchmarks.suites import speed as bench_speed
 from coded_aperture_benchmarks.suites.speed import _text
 from coded_aperture_benchmarks.thesis.stair import blur_stack
 
+from coded_aperture_ros.core import machine as core_machine
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank
@@ -34,7 +35,7 @@ def small(monkeypatch):
     monkeypatch.setattr(bench_speed, "_QUICK_SIZES", ((64, 80), (80, 112)))
     monkeypatch.setattr(bench_speed, "_QUICK_LEVEL_COUNTS", (2, 4))
     monkeypatch.setattr(bench_speed, "_QUICK_REPEATS", 1)
-    monkeypatch.setattr(machine, "_PRODUCT_SIDE", 64)
+    monkeypatch.setattr(core_machine, "_PRODUCT_SIDE", 64)
     monkeypatch.setattr(machine, "_COPY_BYTES", 2**16)
     monkeypatch.setattr(baselines, "_PLACES", (4, 8))
 
@@ -187,7 +188,7 @@ def test_thread_counts_double_up_to_the_most():
 
 
 def test_machine_rates_are_plausible(monkeypatch):
-    monkeypatch.setattr(machine, "_PRODUCT_SIDE", 128)
+    monkeypatch.setattr(core_machine, "_PRODUCT_SIDE", 128)
     rates = machine.machine_rates(1)
     assert rates.gemm_gflop_s >= rates.gemm_p50_gflop_s > 0.1
     assert rates.copy_gb_s >= rates.copy_p50_gb_s > 0.05

@@ -85,6 +85,12 @@ def test_a_short_demo(tmp_path):
     assert summary["depth"]["rejected"] == summary["deblur"]["rejected"] == 0
     assert summary["depth"]["median_relative_error"] < 0.05
     assert summary["depth"]["coverage"] > 0.5
+    alone = summary["depth_alone"]
+    assert alone["frames"] > 0 and alone["latency_median_s"] > 0
+    assert set(alone["cores"]) < set(summary["cores"])
+    assert set(summary["cores"]) == {*demo.NODES, "subscriber", "other programs"}
+    assert summary["cores"]["depth_node"] > 0 and summary["machine"]["gflop_s"] > 0
+    assert "GFLOP/s" in err and "depth without deblurring" in err
     assert summary["psnr_all_in_focus_db"] > summary["psnr_coded_db"] + 1
     for name, rows in (("coded", 480), ("all_in_focus", 480), ("depth", 520), ("comparison", 1108)):
         picture = cv2.imread(str(tmp_path / "out" / f"{name}.png"))

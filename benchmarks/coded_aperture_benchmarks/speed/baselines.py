@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_benchmarks.speed.frames import NOISE, moving_frames
-from coded_aperture_benchmarks.speed.machine import opencv_threads, seconds_in_threads
+from coded_aperture_benchmarks.speed.machine import opencv_threads
 from coded_aperture_benchmarks.speed.ratios import ratio
 from coded_aperture_benchmarks.speed.setting import Setting
 from coded_aperture_benchmarks.thesis.reference.subspace import SubspaceBank, SubspaceLikelihood
+from coded_aperture_ros.core.machine import seconds_in_threads
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.metrics.times import Times
 from coded_aperture_ros.optics import PsfStack

@@ -1,18 +1,14 @@
 """What the machine can do, and the least time that some work takes on it."""
 
 import dataclasses
-import os
-import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-_PRODUCT_SIDE = 1024
-_PRODUCTS = 2
+from coded_aperture_ros.core.machine import product_rates, seconds_in_threads
+
 _COPY_BYTES = 128 * 2**20
 _RATE_REPEATS = 5
 
@@ -72,66 +68,23 @@ def roofline(flop: float, moved_bytes: float, rates: Rates, measured_ms: float) 
 
 
 def machine_rates(threads: int) -> Rates:
-    """Measure what a number of threads can do.
-
-    BLAS has to use one thread itself (``OPENBLAS_NUM_THREADS=1``).
-    """
-    random = np.random.default_rng(0)
-    side = (_PRODUCT_SIDE, _PRODUCT_SIDE)
-    factor = random.random(side, dtype=np.float32)
-    products = [np.empty_like(factor) for _ in range(threads)]
+    """Measure what a number of threads can do."""
     sources = [np.ones(_COPY_BYTES // 4 // threads, np.float32) for _ in range(threads)]
     targets = [np.zeros_like(source) for source in sources]
-
-    def multiply(thread: int) -> None:
-        for _ in range(_PRODUCTS):
-            np.matmul(factor, factor, out=products[thread])
 
     def copy(thread: int) -> None:
         np.copyto(targets[thread], sources[thread])
 
-    flop = 2.0 * _PRODUCT_SIDE**3 * _PRODUCTS * threads
     moved = 2.0 * sum(source.nbytes for source in sources)
-    gemm_s = seconds_in_threads(multiply, threads, _RATE_REPEATS)
+    gflop_s = product_rates(threads)
     copy_s = seconds_in_threads(copy, threads, _RATE_REPEATS)
     return Rates(
         threads=threads,
-        gemm_gflop_s=flop / min(gemm_s) / 1e9,
-        gemm_p50_gflop_s=flop / float(np.median(gemm_s)) / 1e9,
+        gemm_gflop_s=max(gflop_s),
+        gemm_p50_gflop_s=float(np.median(gflop_s)),
         copy_gb_s=moved / min(copy_s) / 1e9,
         copy_p50_gb_s=moved / float(np.median(copy_s)) / 1e9,
     )
-
-
-@dataclasses.dataclass(frozen=True)
-class BusyTime:
-    """Processor time that all programs have taken until a moment, s."""
-
-    at_s: float
-    busy_s: float
-
-    @classmethod
-    def now(cls) -> "BusyTime":
-        """Until now; user, nice, system, interrupts of the first line of /proc/stat."""
-        of_all = Path("/proc/stat").read_text().splitlines()[0].split()
-        ticks = sum(int(of_all[field]) for field in (1, 2, 3, 6, 7))
-        return cls(time.monotonic(), ticks / os.sysconf("SC_CLK_TCK"))
-
-    def cores(self) -> float:
-        """Number of cores that were busy since then, all programs together."""
-        now = BusyTime.now()
-        return (now.busy_s - self.busy_s) / (now.at_s - self.at_s)
-
-
-def seconds_in_threads(work: Callable[[int], None], threads: int, repeats: int) -> list[float]:
-    """Return how long threads take together, each with ``work(thread)``; once unmeasured."""
-    seconds = []
-    with ThreadPoolExecutor(threads) as pool:
-        for _ in range(repeats + 1):
-            start = time.perf_counter()
-            list(pool.map(work, range(threads)))
-            seconds.append(time.perf_counter() - start)
-    return seconds[1:]
 
 
 @contextmanager

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from coded_aperture_ros.core.machine import processor_time_s
+
 # What the node counts.
 COUNTERS = ("received", "processed", "dropped", "rejected")
 
@@ -100,12 +102,10 @@ def process_figures(pid: int) -> dict[str, float]:
     status = dict(
         line.split(":", 1) for line in Path(f"/proc/{pid}/status").read_text().splitlines()
     )
-    # Fields 14 and 15; the second one is the name, in brackets, and may hold spaces.
-    times = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[11:13]
     return {
         "rss_mb": int(status["VmRSS"].split()[0]) / 1024,
         "anonymous_mb": int(status["RssAnon"].split()[0]) / 1024,
-        "processor_s": sum(map(int, times)) / os.sysconf("SC_CLK_TCK"),
+        "processor_s": processor_time_s(pid),
     }
 
 

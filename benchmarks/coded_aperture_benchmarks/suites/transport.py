@@ -16,10 +16,10 @@ import yaml
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_benchmarks.speed import frame_publisher, idle_nodes
-from coded_aperture_benchmarks.speed.machine import BusyTime
-from coded_aperture_benchmarks.speed.node_figures import process_figures, stream_figures
+from coded_aperture_benchmarks.speed.node_figures import stream_figures
 from coded_aperture_benchmarks.speed.node_processes import Process, listener, wait_for_depth
 from coded_aperture_benchmarks.speed.setting import Size
+from coded_aperture_ros.core.machine import BusyTime, processor_time_s
 from coded_aperture_ros.core.share import private_network, share_directory, shared_memory_suffices
 from coded_aperture_ros.core.text_table import columns
 
@@ -119,7 +119,7 @@ def _run(folder: Path, way: str, same_process: bool, cell: Cell, *, reliable: bo
 
 
 def _processor_s(programs: Sequence[Process]) -> float:
-    return sum(process_figures(program.pid)["processor_s"] for program in programs)
+    return sum(processor_time_s(program.pid) for program in programs)
 
 
 def _write_inputs(folder: Path, size: Size) -> None:
