@@ -55,8 +55,9 @@ def _run(*names: str) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing has to be cleaned up yet, and an import might swallow an exception.
         signal.signal(number, lambda *_: os._exit(0))
-    from coded_aperture_ros.ros.environment import share_large_messages
+    from coded_aperture_ros.ros.environment import keep_freed_memory, share_large_messages
 
+    keep_freed_memory()
     share_large_messages()
     from coded_aperture_ros.ros.running import run_nodes
     from coded_aperture_ros.ros.topics import LocalTopics

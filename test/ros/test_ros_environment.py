@@ -1,6 +1,7 @@
 """The environment variables that the wheels of rclpy need and an installed ROS must keep."""
 
 import os
+import platform
 import sys
 import types
 from pathlib import Path
@@ -131,3 +132,33 @@ def test_settings_of_the_user_for_dds_stay(monkeypatch, name):
     environment.share_large_messages()
     assert os.environ[name] == "mine"
     assert os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE") in (None, "mine")
+
+
+MEMORY = """
+import resource, threading
+from coded_aperture_ros.ros.environment import keep_freed_memory
+keep_freed_memory()
+import numpy as np
+
+def frames(count):
+    for _ in range(count):
+        maps = [np.ones((720, 1280), np.float32) for _ in range(4)]
+        del maps
+
+def faults(count):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    thread = threading.Thread(target=frames, args=(count,))
+    thread.start()
+    thread.join()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+faults(5)
+print(faults(20))
+"""
+
+
+def test_memory_of_a_frame_is_kept_for_the_next():
+    done = run_python("-c", MEMORY)
+    assert done.returncode == 0, done.stderr
+    if platform.libc_ver()[0] == "glibc":
+        assert int(done.stdout) < 20 * 4 * 720 * 1280 * 4 / 4096 / 10

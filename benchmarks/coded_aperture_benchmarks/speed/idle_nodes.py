@@ -83,6 +83,9 @@ def run_depth_node(camera_file: Path, source: list[str]) -> int:
     """Run the depth node without its pipeline until SIGINT or SIGTERM; return the status."""
     from rclpy.node import Node
 
+    from coded_aperture_ros.ros.environment import keep_freed_memory
+
+    keep_freed_memory()  # as the program of the node does
     from coded_aperture_ros.ros.depth_node import DepthNode
     from coded_aperture_ros.ros.running import run_nodes
     from coded_aperture_ros.ros.topics import LocalTopics
