@@ -129,7 +129,8 @@ class _AddedFocus:
         work = self.estimator.run_front(frame)
         self.estimator.run_back(work)
         other_folding = Folding.from_sizes(self.estimator.model.stack.blur_sizes_px)
-        total = _sum_of_costs(cost, work.frame_cost, self.folding, other_folding)
+        own = work.frame_cost.in_memory()
+        total = _sum_of_costs(cost, own, self.folding, other_folding)
         return total, work.health
 
     def close(self) -> None:

@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, in_memory
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.optics import Camera, PsfStack
 
@@ -73,6 +73,16 @@ class Cost:
     periodic_step: int = 1
     motion: MotionField | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
+
+    def in_memory(self) -> "Cost":
+        """Cost with arrays of NumPy, if it consists of tensors."""
+        return dataclasses.replace(
+            self,
+            volume=in_memory(self.volume),
+            misfit=None if self.misfit is None else in_memory(self.misfit),
+            small=None if self.small is None else self.small.in_memory(),
+            periodic=None if self.periodic is None else in_memory(self.periodic),
+        )
 
 
 class Likelihood(Protocol):

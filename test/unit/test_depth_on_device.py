@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
-from coded_aperture_ros.likelihood.bank import learn_bank
+from coded_aperture_ros.depth.focus_pair import FocusPair
+from coded_aperture_ros.likelihood.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
@@ -127,8 +128,6 @@ def test_maps_of_other_sizes_are_those_of_the_processor(backend, bank, size):
 @pytest.mark.parametrize("side", ["near", "far"])
 def test_layers_of_the_network_are_those_of_the_processor(backend, side):
     """What is seldom asked for, and stays on the device: probabilities, features, outputs."""
-    from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
-
     focus_m, near_m, far_m = (1.0, 1.1, 3.0) if side == "far" else (3.0, 1.0, 2.4)
     camera = Camera(600.0, focus_m, 240, 192, Mask.named("levin"), 30.0, side=side)
     bank = learn_bank_for_camera(camera, near_m, far_m, 27)
@@ -150,6 +149,18 @@ def test_levels_on_both_sides_stay_on_the_processor(backend):
     (frame,) = frames_of("grey")
     estimate = DepthEstimator(bank, DepthConfig(backend=backend)).estimate(frame)
     assert "side" in estimate.layers
+
+
+def test_pairs_of_focus_settings_are_those_of_the_processor(backend):
+    """The second frame has costs on the device; they are added on the processor."""
+    camera = Camera(600.0, 1.0, 240, 192, Mask.named("levin"), 30.0)
+    bank = learn_bank_for_camera(camera, 1.2, 3.0, 27)
+    first, second = frame_of(6, (192, 240), 1), frame_of(7, (192, 240), 1)
+    found, expected = (
+        FocusPair(DepthEstimator(bank, DepthConfig(**own), camera), 1.05).estimate(first, second)
+        for own in ({"backend": backend}, {"network": "opencv"})
+    )
+    assert_same(found, expected)
 
 
 def decoded_inputs(torch, bank, frame):
