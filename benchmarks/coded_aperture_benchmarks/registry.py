@@ -75,6 +75,7 @@ BENCHMARKS: dict[str, Group | Entry] = {
     **OF_THE_PROGRAM,
     "against": Entry("time of a frame, beside stereo matching and a network", "suites.against"),
     "transport": Entry("from stamp to depth without the work, over DDS", "suites.transport"),
+    "gpu": Entry("depth on a GPU: as on the processor, and how fast", "suites.gpu"),
     "motion": MOTION,
     "masks": Entry("predicted against measured errors of random masks", "suites.masks"),
     "subspaces": Entry(

@@ -38,6 +38,11 @@ class Recorded:
         self._outputs: Tensors = {}
         self._records = self._device.type == "cuda"
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether there is a graph that is repeated."""
+        return self._graph is not None
+
     @torch.inference_mode()
     def __call__(self, inputs: Mapping[str, NDArray[Any] | torch.Tensor]) -> Tensors:
         """Outputs, which the next call overwrites."""

@@ -162,6 +162,12 @@ class DeviceDecoder:
             **maps, drawing=drawing, scale=self._scale, remaining=remaining, tried_px=self._tried_px
         )
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether all its work so far is a CUDA graph."""
+        steps = self._recorded.values()
+        return bool(steps) and all(step.is_recorded for step in steps)
+
     def _step(self, observation: Observation, size: Shape, has_past: bool) -> Recorded:
         """Recorded work on frames and maps of a size."""
         key = observation.light.shape, size, has_past
