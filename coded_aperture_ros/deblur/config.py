@@ -6,6 +6,7 @@ from coded_aperture_ros.core.networks import check_runtime
 from coded_aperture_ros.core.options import check_options, option, option_of
 from coded_aperture_ros.core.workers import thread_count
 from coded_aperture_ros.depth.config import DepthConfig
+from coded_aperture_ros.likelihood import check_backend
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,8 +91,10 @@ class DeblurConfig:
         parameter="compute.threads",
     )
     network: str = option_of(DepthConfig, "network")
+    backend: str = option_of(DepthConfig, "backend")
 
     def __post_init__(self) -> None:
         check_options(self)
         thread_count(self.threads)
         check_runtime(self.network)
+        check_backend(self.backend)

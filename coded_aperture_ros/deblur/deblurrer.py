@@ -32,6 +32,7 @@ from coded_aperture_ros.deblur.problem import (
 from coded_aperture_ros.deblur.psf_basis import PsfBasis
 from coded_aperture_ros.deblur.uncertainty import Uncertainty, classify_pixels, estimate_uncertainty
 from coded_aperture_ros.frames import KnownNoise, channel_noise, check_frame
+from coded_aperture_ros.likelihood import torch_device
 from coded_aperture_ros.optics import PsfStack
 
 # How far edges of the depth of what moves may be off, px.
@@ -94,15 +95,15 @@ class Deblurrer:
     def reconfigure(self, config: DeblurConfig) -> None:
         """Use other settings from the next frame on. Any option may change.
 
-        Another `rank`, `band`, `network` or number of `threads` makes new filters: the next frame
-        waits unless `prepare` is called. Another `temporal_frames` begins another video.
+        Another `rank`, `band`, `network`, `backend` or number of `threads` makes new filters: the
+        next frame waits unless `prepare` is called. Another `temporal_frames` begins another video.
         """
         old = self.config
         self.config = config
         if config.threads != old.threads:
             self._workers.close()
             self._workers = Workers(thread_count(config.threads))
-        made = ("threads", "rank", "band", "network")
+        made = ("threads", "rank", "band", "network", "backend")
         if any(getattr(config, name) != getattr(old, name) for name in made):
             self._closed_form = self._new_closed_form()
             self._blend = None
@@ -237,6 +238,11 @@ class Deblurrer:
         closed = method == "inverse" or (method == "fast" and band == "half")
         if closed or unsupported_reason(self.stack):
             return None
+        device = torch_device(self.config.backend)
+        if device is not None:
+            from coded_aperture_ros.deblur.blend.on_device.blend import DeviceBlend
+
+            return DeviceBlend(self.stack, self.config.rank, self._workers, device)
         return Blend(self.stack, self.config.rank, self._workers, self.config.network)
 
     def _new_method(self) -> Method:

@@ -16,7 +16,7 @@ from coded_aperture_ros.frames import extend_periodically, periodic_shape
 from coded_aperture_ros.optics import PsfStack
 
 # How finely maps are looked up between levels.
-_STEPS_PER_LEVEL = 8
+STEPS_PER_LEVEL = 8
 # The error that a change of blur size within reach of the filters makes, per pixel of its standard
 # deviation; from the best choice on ray-traced scenes.
 _ERROR_PER_PX = 0.03
@@ -81,7 +81,7 @@ class InverseFilters:
     def table_steps(self, blur: FloatArray) -> IndexArray:
         """Step of each signed blur size among those of the tables."""
         level = _fractional_index(self._stack.blur_sizes_px[self._order], blur)
-        return np.rint(level * _STEPS_PER_LEVEL).astype(np.int32)
+        return np.rint(level * STEPS_PER_LEVEL).astype(np.int32)
 
     def apply(
         self, channels: list[FloatArray], table_indices: IndexArray, noise: float
@@ -131,7 +131,7 @@ class InverseFilters:
         """Interpolated coefficients [R, steps of level * steps of model error]."""
         table = self._basis(basis_noise).coefficients(self.model_errors, 10 ** (tenths / 10))
         table = table[self._order]
-        for axis, steps in ((0, _STEPS_PER_LEVEL), (1, self.steps_per_error)):
+        for axis, steps in ((0, STEPS_PER_LEVEL), (1, self.steps_per_error)):
             table = np.moveaxis(table, axis, 0)
             position = np.arange(steps * (len(table) - 1) + 1) / steps
             lower = np.minimum(position.astype(np.intp), len(table) - 2)

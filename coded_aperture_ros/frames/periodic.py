@@ -4,7 +4,7 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.core.arrays import FloatArray, Shape, constant, zeros
 
 
 def periodic_shape(shape: tuple[int, ...], extension_px: int) -> Shape:
@@ -42,10 +42,10 @@ def extend_periodically(image: FloatArray, shape: Shape) -> FloatArray:
     [[0.0, 1.0, 0.75, 0.25]]
     """
     height, width = image.shape
-    extended = np.empty(shape, np.float32)
+    extended: FloatArray = zeros(shape, image)
     extended[:height, :width] = image
-    across = _smooth_ramp(shape[1] - width)
-    down = _smooth_ramp(shape[0] - height)
+    across = constant(_smooth_ramp(shape[1] - width), image)
+    down = constant(_smooth_ramp(shape[0] - height), image)
     first, last = image[:, :1], image[:, -1:]
     extended[:height, width:] = last + across * (first - last)
     first, last = extended[:1], extended[height - 1 : height]

@@ -70,6 +70,7 @@ def test_networks_run_as_by_opencv(torch, name):
     [
         lambda cv, picture: cv.blur(picture, (19, 19)),
         lambda cv, picture: cv.blur(picture, (33, 2)),
+        lambda cv, picture: cv.blur(picture, (9, 9), borderType=cv.BORDER_REFLECT),
         lambda cv, picture: cv.GaussianBlur(picture, (0, 0), 1.5),
         lambda cv, picture: cv.resize(picture, (17, 11), interpolation=cv.INTER_AREA),
         lambda cv, picture: cv.resize(picture, (170, 111), interpolation=cv.INTER_LINEAR),
@@ -98,6 +99,15 @@ def test_colours_are_shrunk_as_by_opencv(torch):
     tensor = torch.from_numpy(picture)
     found = filters.resize(tensor, (30, 20), interpolation=filters.INTER_AREA)
     assert np.abs(found.numpy() - expected).max() < 1e-6
+
+
+def test_like_colours_are_averaged_as_by_opencv(torch):
+    from coded_aperture_ros.core.tensors import filters
+
+    picture = RANDOM.uniform(0, 0.2, (40, 60, 3)).astype(np.float32)
+    expected = cv2.bilateralFilter(picture, 5, 0.06, 2.5)
+    found = filters.bilateralFilter(torch.from_numpy(picture), 5, 0.06, 2.5).numpy()
+    assert np.abs(found - expected).max() < 1e-4
 
 
 @pytest.mark.parametrize("order", [1, -1])

@@ -5,6 +5,7 @@ OpenCV makes of unit vectors: borders, fractional areas and centres are those of
 is largest and smallest around a pixel is not linear; it is found axis by axis.
 """
 
+import itertools
 from collections.abc import Callable
 from functools import lru_cache
 
@@ -13,6 +14,7 @@ import numpy as np
 import torch
 from cv2 import (
     BORDER_REFLECT,
+    BORDER_REFLECT_101,
     BORDER_REPLICATE,
     INTER_AREA,
     INTER_LINEAR,
@@ -24,12 +26,14 @@ from torch.nn import functional
 
 __all__ = [
     "BORDER_REFLECT",
+    "BORDER_REFLECT_101",
     "BORDER_REPLICATE",
     "INTER_AREA",
     "INTER_LINEAR",
     "INTER_NEAREST",
     "INTER_NEAREST_EXACT",
     "GaussianBlur",
+    "bilateralFilter",
     "blur",
     "copyMakeBorder",
     "dilate",
@@ -42,9 +46,11 @@ FloatArray = NDArray[np.float32]
 _KEPT = 256
 
 
-def blur(picture: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+def blur(
+    picture: torch.Tensor, size: tuple[int, int], *, borderType: int = BORDER_REFLECT_101
+) -> torch.Tensor:
     """Mean over a box around every pixel; see ``cv2.blur``."""
-    return _filtered(picture, ("blur", size[1]), ("blur", size[0]))
+    return _filtered(picture, ("blur", size[1], borderType), ("blur", size[0], borderType))
 
 
 def GaussianBlur(  # noqa: N802  OpenCV's name
@@ -52,6 +58,26 @@ def GaussianBlur(  # noqa: N802  OpenCV's name
 ) -> torch.Tensor:
     """Gaussian mean around every pixel; see ``cv2.GaussianBlur``."""
     return _filtered(picture, ("gaussian", sigma), ("gaussian", sigma))
+
+
+def bilateralFilter(  # noqa: N802  OpenCV's name
+    picture: torch.Tensor, diameter: int, sigma_colour: float, sigma_px: float
+) -> torch.Tensor:
+    """Mean of like colours around every pixel [rows, columns, channels]; see OpenCV's."""
+    reach, (rows, columns, _) = diameter // 2, picture.shape
+    around = copyMakeBorder(picture, reach, reach, reach, reach, BORDER_REFLECT_101)
+    total, mean = torch.zeros_like(picture[..., :1]), torch.zeros_like(picture)
+    for i, j in itertools.product(range(-reach, reach + 1), repeat=2):
+        squared_px = i * i + j * j
+        if squared_px > reach * reach:
+            continue
+        theirs = around[reach + i : reach + i + rows, reach + j : reach + j + columns]
+        # OpenCV adds up the channels' differences.
+        apart = (theirs - picture).abs().sum(-1, keepdim=True) / sigma_colour
+        weight = torch.exp(-(apart**2) / 2 - squared_px / (2 * sigma_px**2))
+        total += weight
+        mean += weight * theirs
+    return mean / total
 
 
 def resize(
@@ -107,8 +133,8 @@ def _matrix(length: int, device: torch.device, kind: str, *settings: float) -> t
     return torch.tensor(along, device=device)
 
 
-def _blur(unit: FloatArray, side: float) -> NDArray[np.floating]:
-    return cv2.blur(unit, (1, int(side)))
+def _blur(unit: FloatArray, side: float, border: float) -> NDArray[np.floating]:
+    return cv2.blur(unit, (1, int(side)), borderType=int(border))
 
 
 def _gaussian(unit: FloatArray, sigma: float) -> NDArray[np.floating]:

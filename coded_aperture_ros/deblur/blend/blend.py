@@ -1,10 +1,9 @@
 """Blended picture of a frame and its blur sizes."""
 
-import cv2
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, filters, namespace
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.deblur.blend.features import (
@@ -75,15 +74,25 @@ class Blend(OpponentFilters[InverseHypotheses]):
         """
         if not any(np.ptp(channel) for channel in channels):
             return channels  # nothing to divide by, and nothing to deblur
-        shape = blur.shape
-        allowed = noise * float(np.sqrt(smoothness))
+        return self._blended(channels, blur, known, noise, noise * float(np.sqrt(smoothness)))
+
+    def _blended(
+        self,
+        channels: list[FloatArray],
+        blur: FloatArray,
+        known: BoolArray,
+        noise: float,
+        allowed: float,
+    ) -> list[FloatArray]:
+        """Deblurred `opponents`, for arrays and tensors."""
+        xp, shape = namespace(blur), (blur.shape[0], blur.shape[1])
         sizes = hypothesis_blur_sizes(blur)
-        steps = np.stack([self._brightness.table_steps(each) for each in sizes])
+        steps = xp.stack([self._brightness.table_steps(each) for each in sizes])
         cells = pack_cells(self._brightness.compute(channels[0], steps, allowed))
         mean, scale = mean_and_contrast(cells[-_PIXELS:], noise)
         seen = min(allowed, max(noise, _MAX_TRAINED_NOISE))
         maps = cell_maps(sizes, known, scale, seen)
-        shown = np.concatenate([(cells - mean) / scale, maps])
+        shown = xp.concatenate([(cells - mean) / scale, maps])
         (output,) = self._network({"shown": shown[None]})
         output = output.reshape(HYPOTHESES + 1, _PIXELS, *scale.shape)
         weights = output[:-1]
@@ -97,10 +106,12 @@ class Blend(OpponentFilters[InverseHypotheses]):
 
 def _suppress_fringes(channels: list[FloatArray]) -> list[FloatArray]:
     """Brightness, and colour differences that are equal where brightness is."""
-    image = cv2.merge([np.ascontiguousarray(channel) for channel in channels])
-    smooth = cv2.bilateralFilter(image, _FRINGE_PX, _SAME_COLOUR, _FRINGE_PX / 2)
-    return [channels[0], *cv2.split(smooth)[1:]]
+    image = namespace(channels[0]).stack(channels, -1)
+    smooth = filters(image).bilateralFilter(image, _FRINGE_PX, _SAME_COLOUR, _FRINGE_PX / 2)
+    return [channels[0], smooth[..., 1], smooth[..., 2]]
 
 
 def _weighted_sum(cells: FloatArray, weights: FloatArray) -> FloatArray:
-    return np.einsum("kprc,kprc->prc", cells.reshape(weights.shape), weights)
+    xp = namespace(cells)
+    weighted: FloatArray = xp.einsum("kprc,kprc->prc", cells.reshape(weights.shape), weights)
+    return weighted

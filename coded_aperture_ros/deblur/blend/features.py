@@ -1,9 +1,15 @@
 """Input of the network: hypotheses in cells of 4 x 4 pixels, and maps beside them."""
 
-import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    FloatArray,
+    Shape,
+    constant,
+    filters,
+    namespace,
+)
 
 CELL_PX = 4
 # Frames are extended to whole squares of two by two cells.
@@ -23,44 +29,49 @@ def pack_cells(values: FloatArray) -> FloatArray:
     down = -rows % _SQUARE_PX
     right = -columns % _SQUARE_PX
     if down or right:
-        values = np.pad(values, ((0, 0), (0, down), (0, right)), mode="edge")
+        row = np.minimum(np.arange(rows + down), rows - 1)[:, None]
+        column = np.minimum(np.arange(columns + right), columns - 1)
+        values = values[:, constant(row, values), constant(column, values)]
     parts = values.reshape(
         count, values.shape[1] // CELL_PX, CELL_PX, values.shape[2] // CELL_PX, CELL_PX
     )
-    return np.ascontiguousarray(parts.transpose(0, 2, 4, 1, 3)).reshape(
-        count * CELL_PX**2, parts.shape[1], parts.shape[3]
-    )
+    cells = namespace(values).moveaxis(parts, (2, 4), (1, 2))
+    packed: FloatArray = cells.reshape(count * CELL_PX**2, parts.shape[1], parts.shape[3])
+    return packed
 
 
 def unpack_cells(values: FloatArray, shape: Shape) -> FloatArray:
     """Image of `shape` from its cells [16, rows / 4, columns / 4]."""
     _, rows, columns = values.shape
-    parts = values.reshape(CELL_PX, CELL_PX, rows, columns).transpose(2, 0, 3, 1)
-    return parts.reshape(CELL_PX * rows, CELL_PX * columns)[: shape[0], : shape[1]]
+    parts = values.reshape(CELL_PX, CELL_PX, rows, columns)
+    pixels = namespace(values).moveaxis(parts, (0, 1), (1, 3))
+    image: FloatArray = pixels.reshape(CELL_PX * rows, CELL_PX * columns)
+    return image[: shape[0], : shape[1]]
 
 
 def mean_and_contrast(frame_cells: FloatArray, noise: float) -> tuple[FloatArray, FloatArray]:
     """Local mean and contrast of the frame's cells [16, rows, columns], each [rows, columns]."""
-    side = (_CONTRAST_CELLS, _CONTRAST_CELLS)
-    mean = cv2.blur(frame_cells.mean(axis=0), side, borderType=cv2.BORDER_REFLECT)
-    power = np.mean((frame_cells - mean) ** 2, axis=0)
-    power = cv2.blur(power, side, borderType=cv2.BORDER_REFLECT)
-    scale = np.sqrt(power + np.float32((_MIN_SCALE * noise) ** 2) + np.float32(1e-8))
-    return mean, scale
+    xp, cv, side = namespace(frame_cells), filters(frame_cells), (_CONTRAST_CELLS, _CONTRAST_CELLS)
+    mean = cv.blur(frame_cells.mean(axis=0), side, borderType=cv.BORDER_REFLECT)
+    power = ((frame_cells - mean) ** 2).mean(axis=0)
+    power = cv.blur(power, side, borderType=cv.BORDER_REFLECT)
+    return mean, xp.sqrt(power + (float(_MIN_SCALE * noise) ** 2 + 1e-8))
 
 
 def cell_maps(
     sizes: list[FloatArray], known: BoolArray, scale: FloatArray, noise: float
 ) -> FloatArray:
     """Maps [MAPS, rows, columns] beside the hypotheses of `hypothesis_blur_sizes`."""
-    size = scale.shape[::-1]
+    xp, cv, size = namespace(scale), filters(scale), (scale.shape[1], scale.shape[0])
 
     def small(values: FloatArray) -> FloatArray:
         down, right = (-length % _SQUARE_PX for length in values.shape)
         if down or right:
-            values = cv2.copyMakeBorder(values, 0, down, 0, right, cv2.BORDER_REPLICATE)
-        return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_AREA))
+            values = cv.copyMakeBorder(values, 0, down, 0, right, cv.BORDER_REPLICATE)
+        resized: FloatArray = cv.resize(values, size, interpolation=cv.INTER_AREA)
+        return resized
 
-    blur = [small(each) / np.float32(_BLUR_UNIT_PX) for each in sizes[:3]]
-    strength = np.log10(np.float32(noise) / scale) + 1
-    return np.stack([*blur, small(known.astype(np.float32)), strength])
+    blur = [small(each) / _BLUR_UNIT_PX for each in sizes[:3]]
+    strength = xp.log10(float(noise) / scale) + 1
+    maps: FloatArray = xp.stack([*blur, small(known * xp.ones_like(sizes[0])), strength])
+    return maps

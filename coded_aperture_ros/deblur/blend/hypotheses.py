@@ -1,10 +1,9 @@
 """Closed forms of a frame for a pixel's own blur size, and for those of its neighbours."""
 
-import cv2
 import numpy as np
 import scipy.fft
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.deblur.inverse_basis import MODEL_ERRORS
 from coded_aperture_ros.deblur.inverse_filters import InverseFilters
@@ -13,8 +12,8 @@ from coded_aperture_ros.frames import extend_periodically, periodic_shape
 # Of the closed forms: whose blur size is taken (see `hypothesis_blur_sizes`), and which model error
 # bounds their gain. The frame itself is one more: that nothing is gained by changing it.
 OWN, NEARER, FARTHER, LARGER = range(4)
-_HYPOTHESIS_PAIRS = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (LARGER, 1)))
-HYPOTHESES = len(_HYPOTHESIS_PAIRS) + 1
+HYPOTHESIS_PAIRS = np.array(((OWN, 0), (OWN, 2), (NEARER, 1), (FARTHER, 1), (LARGER, 1)))
+HYPOTHESES = len(HYPOTHESIS_PAIRS) + 1
 # How far around a pixel the nearest and the farthest surface are looked for: about as far as light
 # of the largest blur comes from.
 _NEIGHBOURHOOD_PX = 9
@@ -25,8 +24,9 @@ _INCREMENT_PX = 0.8
 def hypothesis_blur_sizes(blur: FloatArray) -> list[FloatArray]:
     """Blur sizes of a map by `OWN`, `NEARER`, `FARTHER` and `LARGER`, signed, px."""
     beside = np.ones((2 * _NEIGHBOURHOOD_PX + 1,) * 2, np.uint8)
-    more = blur + np.where(blur < 0, np.float32(-_INCREMENT_PX), np.float32(_INCREMENT_PX))
-    return [blur, cv2.erode(blur, beside), cv2.dilate(blur, beside), more]
+    cv, increment = filters(blur), namespace(blur).ones_like(blur) * _INCREMENT_PX
+    more = blur + namespace(blur).where(blur < 0, -increment, increment)
+    return [blur, cv.erode(blur, beside), cv.dilate(blur, beside), more]
 
 
 class InverseHypotheses(InverseFilters):
@@ -63,7 +63,7 @@ class InverseHypotheses(InverseFilters):
             # All kernels of a pixel side by side, as all are needed at once.
             pixel_kernels = np.ascontiguousarray(np.moveaxis(filtered[:, band], 0, -1))
             combine_hypotheses(
-                pixel_kernels, steps[:, band], table, _HYPOTHESIS_PAIRS, found[:-1, band]
+                pixel_kernels, steps[:, band], table, HYPOTHESIS_PAIRS, found[:-1, band]
             )
 
         self._workers.each(combine, range(0, rows, _BAND_ROWS))
@@ -99,5 +99,5 @@ def _plain(
 
 
 # From kernels' pictures [rows, columns, R], steps [4, rows, columns], a table [steps, errors, R]
-# and `_HYPOTHESIS_PAIRS` to hypotheses, which it writes to.
+# and `HYPOTHESIS_PAIRS` to hypotheses, which it writes to.
 combine_hypotheses = Compiled(_loop, _plain)

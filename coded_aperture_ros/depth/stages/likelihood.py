@@ -25,7 +25,7 @@ class Config:
     )
     backend: str = option(
         "numpy",
-        "What computes costs and network: torch needs PyTorch, cuda a GPU beside; auto takes the "
+        "What computes costs and networks: torch needs PyTorch, cuda a GPU beside; auto takes the "
         "GPU where there is one.",
         choices=BACKENDS,
         parameter="compute.backend",

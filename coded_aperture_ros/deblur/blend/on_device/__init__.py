@@ -1,0 +1,1 @@
+"""Blend of closed forms on PyTorch's device."""
