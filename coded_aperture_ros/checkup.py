@@ -15,6 +15,7 @@ from coded_aperture_ros.design.setting import Setting, design_setting, resolutio
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.field_prior import unmeasured_defocus
 from coded_aperture_ros.optics.nominal import grows_evenly
 from coded_aperture_ros.optics.pupil import wider_mask_advice
 from coded_aperture_ros.pipeline import FramePipeline
@@ -27,6 +28,8 @@ FAILED = "failed"
 _MIN_HOLE_BLUR_PX = 0.5
 _MIN_LEVELS = 2.0
 _FEW_LEVELS = 5.0
+# Relative error of depth that the unmeasured field of a lens may leave.
+_FIELD_RIGHT = 0.05
 _MIN_OPEN_FRACTION = 0.15
 _SATURATED_WARNING = 0.01
 _SATURATED_FAILED = 0.1
@@ -46,7 +49,7 @@ class Finding:
 
 
 def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding]:
-    """Findings about a camera over a depth range: depth resolution, blur, diffraction, light.
+    """Findings about a camera over a depth range: resolution, blur, diffraction, light, field.
 
     Raises `InputError` if the range is not one of the camera's.
     """
@@ -56,6 +59,7 @@ def camera_findings(camera: Camera, near_m: float, far_m: float) -> list[Finding
         _blur(camera, setting),
         _diffraction(setting),
         _open_area(setting),
+        _field(camera, near_m, far_m),
     ]
 
 
@@ -125,6 +129,27 @@ def _open_area(setting: Setting) -> Finding:
         f"{-math.log2(light):.1f} stops less",
         "expose longer, or use a mask with more open area" if dark else "",
         {"open_fraction": light},
+    )
+
+
+def _field(camera: Camera, near_m: float, far_m: float) -> Finding:
+    remedy = "measure it: calibrate field, with planes that fill the picture"
+    if camera.field_is_measured:
+        return Finding("field", OK, "known away from the axis, too")
+    defocus = unmeasured_defocus(camera, (camera.image_height, camera.image_width))
+    if defocus is None:
+        text = "not measured; without focal_length_mm it is trusted all over"
+        return Finding("field", WARNING, text, remedy)
+    middle_m = min(math.sqrt(near_m * far_m), 2 * near_m)
+    corner_px = float(defocus.max()) * camera.blur_per_dioptre_px
+    share = float((defocus <= _FIELD_RIGHT / middle_m).mean())
+    return Finding(
+        "field",
+        WARNING if share < 1 else OK,
+        f"not measured: blur may be {corner_px:.2g} px off in the corners; at {middle_m:.2g} m "
+        f"depth is good to 5 % in {100 * share:.0f} % of the picture, and elsewhere doubted",
+        remedy if share < 1 else "",
+        {"corner_px": corner_px, "measurable_share": share},
     )
 
 

@@ -100,7 +100,7 @@ def run(args: Arguments) -> int:
             path.write_text(field_page(found, field_text(summary), pictures, misplaced), "utf-8")
     if args.output is not None:
         changed = {name: summary[name] for name in _FOUND if name in summary}
-        entries = {**camera_entries(args.camera), **changed}
+        entries = {**camera_entries(args.camera), **changed, "calibrated": "field"}
         with atomic_output(args.output) as path:
             path.write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
     return print_summary(summary, field_text, as_json=args.json, warnings=misplaced)

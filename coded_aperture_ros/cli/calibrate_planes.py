@@ -304,6 +304,7 @@ def _camera_text(summary: Summary, path: Path) -> str:
         "side": summary["side"],
         "mask": {"file": MASK_FILE},
         "mask_extent_mm": summary["mask_extent_mm"],
+        "calibrated": "planes",
     }
     return str(yaml.safe_dump(content, sort_keys=False))
 

@@ -70,6 +70,7 @@ def run(args: Arguments) -> int:
         "mask_extent_mm": round(found.mask_extent_mm, 4),
         "field_curvature": [curvature.second, curvature.fourth],
         "wavefront": found.wavefront.entry,
+        "calibrated": "traced",
     }
     kept = {name: value for name, value in entries.items() if name not in _REPLACED}
     with atomic_output(args.output) as temporary:

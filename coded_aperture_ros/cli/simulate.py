@@ -143,7 +143,7 @@ def _camera_text(camera: Camera, mask: str) -> str:
         *("mask_extent_mm", "side"),
     )
     lines = [f"{name}: {getattr(camera, name)}" for name in numbers]
-    return "\n".join([*lines, "mask:", f"  {kind}", ""])
+    return "\n".join([*lines, "calibrated: traced", "mask:", f"  {kind}", ""])
 
 
 def _render_files(args: Arguments, camera_file: str, image_file: str, depth_file: str) -> int:

@@ -209,10 +209,19 @@ class DepthEstimator:
                 regularize=self._regularize,
                 second_focus=self._second_focus,
                 device=torch_device(config.backend),
+                unmeasured_camera=self._unmeasured_camera,
             )
             planned = _Planned(plan, make_front(plan, config), make_back(plan, config))
             unless_made.pop_all()
         return planned
+
+    @property
+    def _unmeasured_camera(self) -> Camera | None:
+        """The camera, if its lens may be off away from the axis, and by how much is known."""
+        camera = self.camera
+        if camera is None or camera.focal_length_mm is None or camera.field_is_measured:
+            return None
+        return camera
 
     def _focal_sides(self, shape: Shape) -> FocalSides | None:
         stack = self.model.stack

@@ -130,6 +130,27 @@ class Levels:
         return len(self.blur_sizes_px)
 
     @property
+    def per_px(self) -> float:
+        """Levels in a pixel of blur."""
+        return float((len(self) - 1) / np.ptp(self.blur_sizes_px))
+
+    @property
+    def tolerance_px(self) -> FloatArray:
+        """Error of each level's blur size that is 5 % of its depth, px, float32 [L]."""
+        sizes = self.blur_sizes_px
+        step_px = abs(np.mean(np.diff(sizes)))
+        if self.depths_m is None:
+            return np.full(len(sizes), step_px, np.float32)
+        inverse = 1 / self.depths_m
+        per_px = np.abs(np.gradient(inverse, sizes))
+        # Levels of infinite depth are alike; some have no depth at all.
+        tolerance = np.full(len(sizes), step_px)
+        finite = np.isfinite(self.depths_m) & (per_px > 0)
+        return np.divide(_TOLERANCE * inverse, per_px, out=tolerance, where=finite).astype(
+            np.float32
+        )
+
+    @property
     def nearest_first(self) -> IndexArray:
         """Levels ordered by depth, or by blur size where depths are not known, intp [L]."""
         table = self._size_table if self._depth_table is None else self._depth_table

@@ -21,6 +21,7 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import Health
 from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
 from coded_aperture_ros.likelihood import Cost, EngineLikelihood, Likelihood, LikelihoodModel
+from coded_aperture_ros.optics import Camera
 
 
 class SecondFocus(Protocol):
@@ -63,6 +64,8 @@ class Plan:
         For pairs of frames at two focus settings.
     device : str or None
         PyTorch's name of the device that the network runs on; None: NumPy.
+    unmeasured_camera : Camera or None
+        If its lens was not measured away from the axis.
     """
 
     shape: Shape
@@ -84,6 +87,8 @@ class Plan:
         own = isinstance(self.likelihood, EngineLikelihood)
         others = self.sides is not None or self.second_focus is not None
         return self.device is not None and self.decoder.learned and own and not others
+
+    unmeasured_camera: Camera | None = None
 
     @property
     def reliability(self) -> tuple[float, ...]:

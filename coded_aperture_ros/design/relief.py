@@ -230,14 +230,16 @@ def _by_distance(
 def part_of_image(camera: Camera, shape: tuple[int, ...], number: int = 0) -> Camera:
     """Camera of a part of the image that is as large as a scene: the middle of it.
 
-    Where the PSF changes over the image, the parts go from the middle to the corner.
+    Where the PSF changes over the image, the parts go from the middle to the corner. Its lens is
+    rendered exactly as it is described.
     """
     whole = camera.image_width, camera.image_height
     height, width = shape
     changes = camera.wavefront is not None or camera.field_curvature is not None
     away = 1 - (number % _PARTS) / (_PARTS - 1) if changes else 1.0
     left, top = away * (whole[0] - width) / 2, away * (whole[1] - height) / 2
-    return camera.for_view(View(width, height, *whole, left, top))
+    exact = dataclasses.replace(camera, calibrated="traced")
+    return exact.for_view(View(width, height, *whole, left, top))
 
 
 def usable_range_m(figures: Sequence[DistanceFigures]) -> tuple[float, float] | None:

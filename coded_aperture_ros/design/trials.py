@@ -199,7 +199,8 @@ def _errors(
     frame = trial.light.exposed(scene.coded(cut, fewest), camera, random)
     config = DepthConfig(confidence_threshold=0.0)
     bank = _bank(camera, trial.range_m, trial.levels)
-    pipeline = FramePipeline(bank, camera, config, deblur=None)
+    exact = dataclasses.replace(camera, calibrated="traced")  # rendered as it is described
+    pipeline = FramePipeline(bank, exact, config, deblur=None)
     estimate = pipeline(frame)
     pipeline.close()
     assert estimate.depth_m is not None

@@ -16,6 +16,7 @@ from coded_aperture_ros.optics.diffraction import scatter_length_px
 from coded_aperture_ros.optics.field import FieldCurvature
 from coded_aperture_ros.optics.intrinsics import Intrinsics
 from coded_aperture_ros.optics.lens import (
+    CALIBRATED,
     SIDE,
     check_depth_range,
     check_f_number,
@@ -80,6 +81,8 @@ class Camera:
         Aberrations: change of the PSF over the image.
     lens_f_number : float, optional
         F-number of the lens wide open; the mask has to fit into its entrance pupil.
+    calibrated : {"nominal", "planes", "field", "traced"}, optional
+        How the lens is known: as printed on it, on the axis, all over, or exactly (simulated, too).
 
     Raises
     ------
@@ -121,6 +124,7 @@ class Camera:
     field_curvature: FieldCurvature | None = None
     wavefront: Wavefront | None = None
     lens_f_number: float | None = None
+    calibrated: str = "nominal"
 
     def __post_init__(self) -> None:
         check_numbers(vars(self))
@@ -128,6 +132,7 @@ class Camera:
             check_focus_distance(self.focal_length_mm, self.focus_distance_m)
             check_f_number(self.focal_length_mm, self.mask_extent_mm)
         check_option("side", self.side, str, SIDE)
+        check_option("calibrated", self.calibrated, str, CALIBRATED)
         if not (self.diffraction is None or isinstance(self.diffraction, bool)):
             raise InputError(f"diffraction: expected true or false, got {self.diffraction!r}")
         if not isinstance(self.mask, Mask):
@@ -145,16 +150,11 @@ class Camera:
 
         Raises `InputError` if a value is out of range, or the focus nearer than the focal length.
         """
-        given = {"focal_length_mm": focal_length_mm, "pixel_pitch_um": pixel_pitch_um}
-        check_numbers({**given, "focus_distance_m": focus_distance_m})
+        lens: Any = {"focal_length_mm": focal_length_mm, "focus_distance_m": focus_distance_m}
+        check_numbers({**lens, "pixel_pitch_um": pixel_pitch_um})
         check_focus_distance(focal_length_mm, focus_distance_m)
         distance_mm = image_distance(focal_length_mm, focus_distance_m * 1e3)
-        return Camera(
-            distance_mm * 1e3 / pixel_pitch_um,
-            focus_distance_m,
-            focal_length_mm=focal_length_mm,
-            **others,
-        )
+        return Camera(distance_mm * 1e3 / pixel_pitch_um, **lens, **others)
 
     @property
     def setting_digest(self) -> str:
@@ -163,10 +163,6 @@ class Camera:
         numbers = view, self.focus_distance_m, self.mask_extent_mm, self.lens_mask_distance_mm
         text = " ".join([*(f"{number:.6g}" for number in numbers), self.side])
         return hashlib.sha256(text.encode()).hexdigest()[:16]
-
-    @property
-    def _lens_mask_distance_m(self) -> float:
-        return self.lens_mask_distance_mm * 1e-3
 
     @property
     def intrinsics(self) -> Intrinsics:
@@ -179,6 +175,12 @@ class Camera:
     def blur_at_infinity_px(self) -> float:
         """Blur size of a point at infinity, px: `M f / z_focus`."""
         return self.blur_per_dioptre_px / self.focus_distance_m
+
+    @property
+    def field_is_measured(self) -> bool:
+        """Whether it is known how the lens focuses away from the axis."""
+        found = self.field_curvature is not None or self.wavefront is not None
+        return found or self.calibrated in ("field", "traced")
 
     @property
     def f_number(self) -> float | None:
@@ -228,7 +230,7 @@ class Camera:
         Martinello 2012, eq. 3.28, which is its absolute value.
         """
         z = np.asarray(depth_m, dtype=np.float64)
-        mask_m = self._lens_mask_distance_m
+        mask_m = self.lens_mask_distance_mm * 1e-3
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             inverse = np.where(z > max(0.0, mask_m), 1.0 / z, np.nan)
         # Divided through by z, so that an infinite depth needs no special case.
@@ -249,7 +251,7 @@ class Camera:
             in front of the focal plane than any depth's.
         """
         size = np.asarray(blur_size_px, dtype=np.float64)
-        mask_m = self._lens_mask_distance_m
+        mask_m = self.lens_mask_distance_mm * 1e-3
         with np.errstate(divide="ignore", invalid="ignore"):
             relative = size / self.blur_at_infinity_px
             depth = (self.focus_distance_m - relative * mask_m) / (1.0 - relative)
@@ -266,7 +268,7 @@ class Camera:
             return size
         defocus = self.field_curvature.defocus_map(self.intrinsics, depth_m.shape)
         with np.errstate(divide="ignore", invalid="ignore"):
-            slope = self.blur_per_dioptre_px / (1 - self._lens_mask_distance_m / depth_m)
+            slope = self.blur_per_dioptre_px / (1 - self.lens_mask_distance_mm * 1e-3 / depth_m)
         return np.asarray(size - slope * defocus)
 
     def field_corrected_depth(self, axial_depth_m: FloatArray) -> FloatArray:
@@ -277,7 +279,7 @@ class Camera:
         if self.field_curvature is None:
             return axial_depth_m
         defocus = self.field_curvature.defocus_map(self.intrinsics, axial_depth_m.shape)
-        mask_m = self._lens_mask_distance_m
+        mask_m = self.lens_mask_distance_mm * 1e-3
         with np.errstate(divide="ignore"):
             inverse = 1 / axial_depth_m
             inverse -= defocus * (1 - mask_m * inverse) / (1 - mask_m / self.focus_distance_m)
@@ -326,7 +328,7 @@ class Camera:
 
         Raises `InputError` if the range is not increasing, or on the other side of the focal plane.
         """
-        nearest_m = max(0.0, self._lens_mask_distance_m)
+        nearest_m = max(0.0, self.lens_mask_distance_mm * 1e-3)
         check_depth_range(near_m, far_m, nearest_m, self.focus_distance_m, self.side)
         smallest, largest = self.blur_size_px([near_m, far_m])
         return float(smallest), float(largest)

@@ -21,6 +21,7 @@ _OPTIONAL = (
     "lens_mask_distance_mm",
     "lens_f_number",
     "side",
+    "calibrated",
     "camera_info",
     "noise",
     "noise_gain",
@@ -31,7 +32,7 @@ _OPTIONAL = (
     "sensor",
     "reference",
 )
-_KEYS = (*NUMBERS, "side", "mask", "camera_info", "diffraction", *_OPTIONAL[-4:])
+_KEYS = (*NUMBERS, "side", "calibrated", "mask", "camera_info", "diffraction", *_OPTIONAL[-4:])
 
 
 def load_camera(path: str | os.PathLike[str]) -> Camera:
@@ -89,10 +90,10 @@ def camera_from_mapping(
     mapping : mapping
         `focal_length_mm` and `pixel_pitch_um`, or `focal_length_px`; `focus_distance_m`,
         `image_width`, `image_height`, `mask` (`{name: ...}` or `{file: ...}`), `mask_extent_mm`.
-        Optional: `lens_mask_distance_mm`, `lens_f_number`, `side`, `noise`, `noise_gain`,
-        `wavelength_nm`, `diffraction`, `field_curvature` (two numbers), `wavefront`, `sensor` (see
-        `Sensor`), `reference`, and `camera_info`, the name of a calibration file, see
-        `load_intrinsics`.
+        Optional: `lens_mask_distance_mm`, `lens_f_number`, `side`, `calibrated`, `noise`,
+        `noise_gain`, `wavelength_nm`, `diffraction`, `field_curvature` (two numbers), `wavefront`,
+        `sensor` (see `Sensor`), `reference`, and `camera_info`, the name of a calibration file,
+        see `load_intrinsics`.
     where : str, optional
         Name of the source, for messages.
     folder : str or path-like, optional

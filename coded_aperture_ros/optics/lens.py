@@ -25,6 +25,7 @@ NUMBERS: dict[str, tuple[type, Option]] = {
     "noise_gain": (float, Option("Variance of shot noise per unit of light", "", 0, 0.1)),
 }
 SIDE = Option("Side of the focal plane that the scene is on", choices=("far", "near", "both"))
+CALIBRATED = Option("How lens and mask are known", choices=("nominal", "planes", "field", "traced"))
 # Together they stand for `focal_length_px`.
 LENS_AND_PIXEL = ("focal_length_mm", "pixel_pitch_um")
 # Not known of every camera.

@@ -13,6 +13,7 @@ from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Plan, Stage, StageModule
 from coded_aperture_ros.depth.stages import (
     decode,
+    field_doubt,
     focal_side,
     focus_pair,
     free_space,
@@ -48,6 +49,7 @@ BACK: tuple[StageModule, ...] = (
     reliability,
     quality_of_fit,
     periodic_texture,
+    field_doubt,
     unknown,
     free_space,
     second_surface,

@@ -69,7 +69,7 @@ class SizeScale:
     @classmethod
     def from_levels(cls, levels: Levels) -> "SizeScale":
         """Scale of a model's levels."""
-        return cls(levels, np.argsort(levels.blur_sizes_px), _tolerance_px(levels))
+        return cls(levels, np.argsort(levels.blur_sizes_px), levels.tolerance_px)
 
     @property
     def sizes_px(self) -> DoubleArray:
@@ -79,7 +79,7 @@ class SizeScale:
     @property
     def levels_per_px(self) -> np.float32:
         """Levels in a pixel of blur."""
-        return np.float32((len(self.sizes_px) - 1) / np.ptp(self.sizes_px))
+        return np.float32(self.levels.per_px)
 
     @property
     def is_far(self) -> bool:
@@ -309,17 +309,3 @@ def limit_past(volume: FloatArray, of_frame: FloatArray) -> FloatArray:
     volume = of_frame + _PAST_WEIGHT * past
     volume -= namespace(volume).amin(volume, -1, keepdims=True)
     return volume
-
-
-def _tolerance_px(levels: Levels) -> FloatArray:
-    """Error of each level's blur size that is 5 % of its depth, px, float32 [L]."""
-    sizes = levels.blur_sizes_px
-    step_px = abs(np.mean(np.diff(sizes)))
-    if levels.depths_m is None:
-        return np.full(len(sizes), step_px, np.float32)
-    inverse = 1 / levels.depths_m
-    per_px = np.abs(np.gradient(inverse, sizes))
-    # Levels of infinite depth are alike; some have no depth at all.
-    tolerance = np.full(len(sizes), step_px)
-    finite = np.isfinite(levels.depths_m) & (per_px > 0)
-    return np.divide(0.05 * inverse, per_px, out=tolerance, where=finite).astype(np.float32)
