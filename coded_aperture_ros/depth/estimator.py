@@ -219,9 +219,8 @@ class DepthEstimator:
     def _unmeasured_camera(self) -> Camera | None:
         """The camera, if its lens may be off away from the axis, and by how much is known."""
         camera = self.camera
-        if camera is None or camera.focal_length_mm is None or camera.field_is_measured:
-            return None
-        return camera
+        known = camera is None or camera.focal_length_mm is None or camera.field_is_measured
+        return None if known else camera
 
     def _focal_sides(self, shape: Shape) -> FocalSides | None:
         stack = self.model.stack

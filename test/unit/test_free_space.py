@@ -9,7 +9,7 @@ from textures import natural_texture
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, refinement_note
-from coded_aperture_ros.depth.decoders.network.decoder import nearest_level_around
+from coded_aperture_ros.depth.decoders.network.bounds import nearest_level_around, nearest_px
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -198,6 +198,6 @@ def test_before_the_bound_lies_no_more_than_its_share(far):
     nothing = np.zeros((1, 1), np.float32)
     for share in (0.01, 0.05, 0.2):
         cells = HalfCells(*(nothing,) * 4, np.log(given)[:, None, None], sizes_px)
-        bound = float(cells.nearest_px(share, np.full((1, 1), far, np.float32))[0, 0])
+        bound = float(nearest_px(cells, share, np.full((1, 1), far, np.float32))[0, 0])
         assert shares[signed < bound - 0.25].sum() <= share + 1e-5
         assert shares[signed < bound + 0.25].sum() >= share - 1e-5

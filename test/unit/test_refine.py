@@ -9,6 +9,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video, refinement_note
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder, small_bank, unsupported_reason
+from coded_aperture_ros.depth.decoders.network.bounds import quantile_px
 from coded_aperture_ros.depth.decoders.network.cells import (
     CELL_PX,
     HALVINGS,
@@ -192,8 +193,8 @@ def test_blur_size_is_the_mean_around_the_likeliest():
     width = float(found.width_px[0, 0])
     right = found.right_within(np.float32([[0.3]]))
     assert right == pytest.approx(0.7 * (1 - np.exp(-0.3 / width)), abs=1e-3)
-    assert found.quantile_px(0.05) == pytest.approx(4.0)
-    assert found.quantile_px(0.95) == pytest.approx(9.5)
+    assert quantile_px(found, 0.05) == pytest.approx(4.0)
+    assert quantile_px(found, 0.95) == pytest.approx(9.5)
 
 
 def test_features_of_the_confidence_tell_of_what_is_around():

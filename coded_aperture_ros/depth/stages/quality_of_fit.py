@@ -25,7 +25,6 @@ _AT_END = 1.5
 # A bank from this blur on, px, has what is sharp among its levels.
 _SHARP_PX = 0.5
 _VALUE = 0.4
-_SPARSE = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,10 +102,9 @@ def open_ends(levels: Levels) -> tuple[bool, bool]:
     >>> open_ends(Levels.from_model(bank))
     (False, True)
     """
-    sharp = np.abs(levels.blur_sizes_px[[0, -1]]) < _SHARP_PX
-    closed = sharp if levels.in_pixels else np.zeros(2, bool)
+    closed = (np.abs(levels.blur_sizes_px[[0, -1]]) < _SHARP_PX) & levels.in_pixels
     if levels.depths_m is not None:
-        closed = closed | ~np.isfinite(levels.depths_m[[0, -1]])
+        closed |= ~np.isfinite(levels.depths_m[[0, -1]])
     return not closed[0], not closed[1]
 
 
@@ -125,12 +123,12 @@ def limit_at_end(
     level, confidence : ndarray, float32 [rows, columns]
         Estimated fractional level of every pixel, and its confidence.
     """
-    some = np.s_[::_SPARSE, ::_SPARSE]
+    some = np.s_[::3, ::3]  # enough for shares
     sure = level[some][confidence[some] >= _SURE]
     if sure.size < _FEWEST_SURE * level[some].size:
         return health
-    first, last = open_ends(levels)
-    shares = (first * (sure <= _AT_END).mean(), last * (sure >= len(levels) - 1 - _AT_END).mean())
+    at_ends = (sure <= _AT_END).mean(), (sure >= len(levels) - 1 - _AT_END).mean()
+    shares = np.multiply(open_ends(levels), at_ends)
     if max(shares) < _MOST or (health is not None and health.value < _VALUE):
         return health
     return Health(_VALUE, "range")

@@ -4,7 +4,6 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import (
@@ -17,7 +16,9 @@ from coded_aperture_ros.core.arrays import (
 )
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide
+from coded_aperture_ros.depth.decoders.network.bounds import nearest_level_around, nearest_px
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells, Drawing
+from coded_aperture_ros.depth.decoders.network.far_side import far_probability
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     BLUR_STEP_PX,
@@ -45,8 +46,6 @@ ONE_DEVIATION = 0.5
 _PAST_WEIGHT = 0.5
 # Largest difference of costs, natural logarithm, of a frame without texture.
 BLANK_COST = 1e-3
-# Position error of the map, px of the frame: a pixel may show its neighbour's surface.
-_AROUND_PX = 4
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -115,7 +114,7 @@ class NetworkDecoded:
         """See `Decoded.quantile`; the nearest level where nothing was seen."""
         if self.blank:
             return np.full(self.drawing.size, self._nearest)
-        level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
+        level = self.scale.level(nearest_px(self.half_cells, probability, self.far))
         one_surface = ONE_SURFACE_PX * float(self.scale.levels_per_px)
         # Where nothing was seen, neighbours are no evidence.
         return np.where(self.blind, self._nearest, self.drawing.render_map(level, one_surface))
@@ -123,7 +122,7 @@ class NetworkDecoded:
     def nearest_around(self, probability: float) -> FloatArray | None:
         """See `Decoded.nearest_around`; the nearest level where nothing was seen."""
         error = max(0.5, BLUR_STEP_PX / 2 * float(self.scale.levels_per_px))
-        level = self.scale.level(self.half_cells.nearest_px(probability, self.far))
+        level = self.scale.level(nearest_px(self.half_cells, probability, self.far))
         level = nearest_level_around(
             level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px
         )
@@ -267,40 +266,7 @@ class NetworkDecoder:
         """Probability of every half-cell to lie beyond the focal plane [rows, columns]."""
         if self._sides is None:
             return np.full(size_px.shape, self._scale.is_far, np.float32)
-        grid = cells.grid
-        rows, columns = (
-            (centres - first) // HALF_CELL_PX
-            for centres, first in ((grid.row_centres, cells.top), (grid.column_centres, cells.left))
-        )
-        # A centre is where four half-cells meet.
-        means = cv2.blur(size_px, (2, 2), anchor=(1, 1), borderType=cv2.BORDER_REPLICATE)
-        beyond = self._scale.level(means[np.ix_(rows, columns)])
-        probability = self._sides.confidence(beyond, volume, grid)
-        nearest = (
-            np.abs(
-                HALF_CELL_PX * np.arange(length)[:, None] + first + HALF_CELL_PX // 2 - centres
-            ).argmin(1)
-            for length, first, centres in (
-                (size_px.shape[0], cells.top, grid.row_centres),
-                (size_px.shape[1], cells.left, grid.column_centres),
-            )
-        )
-        return probability[np.ix_(*nearest)]
-
-
-def nearest_level_around(
-    level: FloatArray, levels: Levels, error: float, cell_px: float, pixel_px: float
-) -> FloatArray:
-    """Nearest level around every cell, less an error in levels [rows, columns].
-
-    `cell_px` and `pixel_px` are the sides of the cells and of the map's pixels, px of the frame.
-    """
-    reach = int(np.ceil((_AROUND_PX + (pixel_px - 1) / 2) / cell_px))
-    square = np.ones((2 * reach + 1,) * 2, np.uint8)
-    if levels.nearest_first[0] == 0:
-        return np.asarray(np.maximum(cv2.erode(level, square) - np.float32(error), 0))
-    last = len(levels) - 1
-    return np.asarray(np.minimum(cv2.dilate(level, square) + np.float32(error), last))
+        return far_probability(self._sides, self._scale.level, size_px, volume, cells)
 
 
 def limit_past(volume: FloatArray, of_frame: FloatArray) -> FloatArray:

@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
@@ -19,8 +18,6 @@ _WITHIN_ONE = 0.68
 _SUREST = 0.98
 # Limits of the logarithm of the mean error in px.
 _LOG_WIDTHS = (-4.0, 2.0)
-# Least probability in a division.
-_LEAST_PROBABILITY = np.float32(1e-6)
 # Neighbours among which other surfaces are looked for, and squares that log-odds are a mean over,
 # in half-cells.
 _SQUARE = np.ones((5, 5), np.uint8)
@@ -214,24 +211,3 @@ class HalfCells:
         larger = xp.maximum(deviation, self.spread_px)
         deviation_px: FloatArray = xp.where(self.about < _WITHIN_ONE, larger, deviation)
         return deviation_px
-
-    def nearest_px(self, probability: float, far: FloatArray) -> FloatArray:
-        """Signed blur size, px, with a given probability of being nearer [rows, columns].
-
-        `far` is the probability of lying beyond the focal plane [rows, columns].
-        """
-        share, front = np.float32(probability), np.maximum(1 - far, _LEAST_PROBABILITY)
-        # In front of the focal plane the nearer surface is the more blurred one.
-        before = -self.quantile_px(1 - np.minimum(share / front, 1))
-        beyond = self.quantile_px((share - front) / np.maximum(far, _LEAST_PROBABILITY))
-        return np.where(front < share, beyond, before)
-
-    def quantile_px(self, share: float | NDArray[np.floating]) -> FloatArray:
-        """Quantile of the unsigned blur size, px [rows, columns]."""
-        probability = np.exp(self.logits - self.logits.max(axis=0))
-        left = share * probability.sum(axis=0)
-        rank = np.zeros(left.shape, np.intp)
-        for each in probability[:-1]:
-            left -= each
-            rank += left > 0
-        return self.tried_px[rank]
