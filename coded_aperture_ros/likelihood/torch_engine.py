@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from coded_aperture_ros.core.arrays import FloatArray, PerPatch, namespace
+from coded_aperture_ros.core.tensors.transfer import copy_without_waiting
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
 from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE
@@ -67,7 +68,7 @@ class TorchEngine:
             areas=[(constant(area.hypotheses), area.rows, area.columns) for area in plan.areas],
             # Of the frame.
             frame=both(plan.pixel_rows, (columns - 1) * grid.stride_px + n),
-            precision=both(grid.rows, 1, columns),
+            precision=room(grid.rows, 1, columns),
             energies=both(grid.rows, plan.levels, columns),
             functions=room(grid.rows, len(plan.features), columns),
             # Of a group.
@@ -100,9 +101,10 @@ class TorchEngine:
     def energies(self, noise: PerPatch) -> FloatArray:
         """Energies of the last projected frame [rows, columns, L]."""
         compared = self._plan.hypothesis_rows(self._plan.plausible_ratios(noise))
-        here, precision = self._buffers.precision
-        here.numpy()[:, 0] = 1 / (self._plan.count * np.square(noise))
-        precision.copy_(here, non_blocking=True)
+        precision = self._buffers.precision
+        of_patches = np.empty(precision.shape, np.float32)
+        of_patches[:, 0] = 1 / (self._plan.count * np.square(noise))
+        copy_without_waiting(precision, torch.from_numpy(of_patches))
         here, energies = self._buffers.energies
         for hypotheses, area, columns in self._buffers.areas:
             for group in self._groups:

@@ -7,6 +7,9 @@ import pytest
 
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, estimate_video
 from coded_aperture_ros.depth.focus_pair import FocusPair
+from coded_aperture_ros.depth.stages.temporal import TemporalFilter
+from coded_aperture_ros.frames import PatchGrid
+from coded_aperture_ros.likelihood import relative_cost
 from coded_aperture_ros.likelihood.bank import learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
@@ -161,6 +164,31 @@ def test_pairs_of_focus_settings_are_those_of_the_processor(backend):
         for own in ({"backend": backend}, {"network": "opencv"})
     )
     assert_same(found, expected)
+
+
+def test_the_memory_of_a_video_stays_on_its_device(torch):
+    """PyTorch without a GPU knows on which device results would be."""
+    from torch._subclasses.fake_tensor import FakeTensorMode
+
+    from coded_aperture_ros.core.tensors import constants, filters
+
+    grid = PatchGrid.covering((160, 192), 48, 8)
+    caches = constants._copied, filters._matrix, filters._border
+    try:
+        with FakeTensorMode():
+            for cache in caches:
+                cache.cache_clear()
+            energies = torch.empty(grid.rows, grid.columns, 21, device="cuda")
+            usable = torch.empty(grid.rows, grid.columns, dtype=torch.bool, device="cuda")
+            grey = torch.empty(160, 192, device="cuda")
+            volume = relative_cost(energies, 2.0, usable)
+            memory = TemporalFilter(4.0)
+            found = [memory.add(volume, grey, grid, 0.002) for _ in range(2)]
+    finally:
+        for cache in caches:
+            cache.cache_clear()
+    assert [str(each.device) for each in found] == ["cuda:0"] * 2
+    assert found[1].shape == (grid.rows, grid.columns, 21)
 
 
 def decoded_inputs(torch, bank, frame):

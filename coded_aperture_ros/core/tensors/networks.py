@@ -27,6 +27,8 @@ class TorchNetwork:
     """
 
     def __init__(self, arrays: Mapping[str, Any], name: str, device: str) -> None:
+        # PyTorch's for the whole process: 10 bits of convolutions' inputs would change levels.
+        torch.backends.cudnn.allow_tf32 = False
         graph = Graph.from_bytes(arrays[f"{name}_onnx"].tobytes())
         self._nodes, self._output = graph.nodes, graph.output
         self._weights = {

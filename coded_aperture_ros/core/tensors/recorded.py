@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.tensors.transfer import tensor_of
+from coded_aperture_ros.core.tensors.transfer import copy_without_waiting, tensor_of
 
 Tensors = Mapping[str, torch.Tensor]
 # Calls before one is recorded: libraries choose their ways and constants are copied in them.
@@ -33,7 +33,6 @@ class Recorded:
         self._function = function
         self._device = torch.device(device)
         self._inputs: dict[str, torch.Tensor] = {}
-        self._staged: dict[str, torch.Tensor] = {}
         self._graph: Any = None
         self._outputs: Tensors = {}
         self._records = self._device.type == "cuda"
@@ -62,27 +61,25 @@ class Recorded:
             given = tensor_of(values)
             if name not in self._inputs:
                 self._inputs[name] = torch.empty_like(given, device=self._device)
-            if given.device.type == "cpu":
-                # The device reads pinned memory while the processor goes on.
-                if name not in self._staged:
-                    self._staged[name] = torch.empty_like(given, pin_memory=True)
-                given = self._staged[name].copy_(given)
-            self._inputs[name].copy_(given, non_blocking=True)
+            copy_without_waiting(self._inputs[name], given)
 
     def _record(self) -> None:
         """Record the function as a graph, or find that it cannot be."""
+        stream = torch.cuda.current_stream()
         try:
             beside = torch.cuda.Stream()
-            beside.wait_stream(torch.cuda.current_stream())
+            beside.wait_stream(stream)
             with torch.cuda.stream(beside):
                 for _ in range(_WARM_UP):
                     self._function(self._inputs)
-            torch.cuda.current_stream().wait_stream(beside)
+            stream.wait_stream(beside)
             graph = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(graph):
+            # Other threads may use the GPU meanwhile, as for deblurring.
+            with torch.cuda.graph(graph, capture_error_mode="thread_local"):
                 self._outputs = self._function(self._inputs)
             self._graph = graph
         except RuntimeError as error:
+            torch.cuda.set_stream(stream)
             self._records = False
             logging.getLogger(__name__).warning(
                 f"CUDA graph: not recorded, running step by step: {error}"

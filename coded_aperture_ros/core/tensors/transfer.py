@@ -20,6 +20,13 @@ def upload_to(device: str) -> Callable[[NDArray[Any]], torch.Tensor]:
     return upload
 
 
+def copy_without_waiting(target: torch.Tensor, source: torch.Tensor) -> None:
+    """Copy a tensor to one on a device, which takes it in its turn; what becomes of it is free."""
+    if target.device.type != "cpu" and source.device.type == "cpu":
+        source = source.pin_memory()  # a copy, which is kept until the device has read it
+    target.copy_(source, non_blocking=True)
+
+
 def tensor_of(values: NDArray[Any] | torch.Tensor) -> torch.Tensor:
     """Tensor of an array, which need not be writable or contiguous."""
     if isinstance(values, torch.Tensor):
