@@ -137,8 +137,9 @@ class GreyNoise:
     @property
     def typical(self) -> float:
         """Standard deviation of the frame as a whole, with shot noise."""
+        # Python's numbers: NumPy's of double precision would make arrays as precise.
         if self.shot_variance is None:
-            return self.sigma
+            return float(self.sigma)
         return float(np.sqrt(self.sigma**2 + np.median(self.shot_variance)))
 
 

@@ -17,7 +17,7 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid, estimate_noise, grey_image
 from coded_aperture_ros.frames.noise import high_power
 from coded_aperture_ros.frames.patches import usable_windows
-from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank_for_camera
+from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation import render_coded_frame
 
@@ -479,3 +479,18 @@ def test_wrong_input_is_refused(bank, camera):
     weak = Camera(800.0, 0.9, 192, 160, camera.mask, 1.0)
     with pytest.raises(InputError, match="learn the bank for this camera"):
         DepthEstimator(bank, camera=weak)
+
+
+@pytest.mark.parametrize("name", ["noise", "least_noise", "noise_gain", "smoothness"])
+@pytest.mark.parametrize("regularize", ["learned", "semiglobal"])
+def test_options_may_be_numbers_of_numpy(name, regularize):
+    bank = learn_bank(render_psf_stack(Mask.named("levin"), np.linspace(1, 10, 24)))
+    frame = np.random.default_rng(0).random((96, 128), np.float32)
+
+    def estimated(value):
+        config = DepthConfig(regularize=regularize, confidence_threshold=0.0, **{name: value})
+        return DepthEstimator(bank, config).estimate(frame)
+
+    of_python, of_numpy = estimated(0.01), estimated(np.float64(0.01))
+    np.testing.assert_array_equal(of_numpy.level, of_python.level)
+    assert of_numpy.confidence.dtype == np.float32
