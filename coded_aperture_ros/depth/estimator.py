@@ -18,6 +18,7 @@ from coded_aperture_ros.depth.decoders.regularize import Regularizer, regularize
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.quality import FitCheck, can_be_checked
 from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
 from coded_aperture_ros.frames import Frame, KnownNoise
@@ -208,6 +209,7 @@ class DepthEstimator:
                 small=small,
                 regularize=self._regularize,
                 second_focus=self._second_focus,
+                fit_check=self._fit_check(),
                 device=torch_device(config.backend),
                 unmeasured_camera=self._unmeasured_camera,
             )
@@ -235,6 +237,18 @@ class DepthEstimator:
         if self._regularize is not None:
             return DecoderChoice(learned=False)
         return choose_decoder(self.source_model, self.config.regularize, stride_px)
+
+    def _fit_check(self) -> FitCheck | None:
+        """Check of the bank; None for models that cannot be checked, or if it is not asked for."""
+        config, model = self.config, self.model
+        if not (isinstance(model, FilterBank) and can_be_checked(model.stack) and config.check_fit):
+            return None
+        return FitCheck(
+            model.stack,
+            remembers=config.temporal_frames > 0,
+            guarded=model.guard_levels > 0,
+            middle_only=model.field is not None,
+        )
 
     def _plan_small_patches(self, shape: Shape, threads: int) -> Likelihood:
         """Likelihood of the small patches that the network needs."""

@@ -7,6 +7,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, constant
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.levels_plain import STEPS, Maps, look_up_plain
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
 
@@ -44,12 +45,8 @@ class Folding:
         return np.minimum(far, volume[..., self.near])
 
 
-# Entries per level in the tables of blur size and depth: finer than any estimate.
-_STEPS = 128
 # Depths that differ by at most this share are equivalent: `confidence` is for 5 %.
 _TOLERANCE = 0.05
-
-_Maps = tuple[FloatArray, ...]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -105,7 +102,7 @@ class Levels:
         by_camera = camera if camera is not None and not depths_are_measured(model) else None
         depths = stack.depths_m if by_camera is None else _depths_by_camera(model, by_camera)
         count = len(stack)
-        level = np.linspace(0, count - 1, (count - 1) * _STEPS + 1)
+        level = np.linspace(0, count - 1, (count - 1) * STEPS + 1)
         size = np.interp(level, np.arange(count), stack.blur_sizes_px)
         if by_camera is None:
             depth = stack.interpolate_depth(level)
@@ -154,7 +151,7 @@ class Levels:
     def nearest_first(self) -> IndexArray:
         """Levels ordered by depth, or by blur size where depths are not known, intp [L]."""
         table = self._size_table if self._depth_table is None else self._depth_table
-        return np.argsort(table[::_STEPS], kind="stable")
+        return np.argsort(table[::STEPS], kind="stable")
 
     def nearer(self, level: FloatArray, other: FloatArray) -> FloatArray:
         """Nearer of two levels at every pixel, float32 of their shape."""
@@ -225,7 +222,7 @@ def _metres_per_level(depth_m: FloatArray) -> FloatArray:
     known = np.isfinite(depth_m)
     depth = depth_m[known].astype(np.float64)
     if len(depth) > 1:
-        per_level[known] = depth**2 * np.abs(np.gradient(1 / depth, 1 / _STEPS))
+        per_level[known] = depth**2 * np.abs(np.gradient(1 / depth, 1 / STEPS))
     return per_level.astype(np.float32)
 
 
@@ -278,13 +275,13 @@ def _depths_by_camera(model: BlurLevels, camera: Camera) -> DoubleArray:
 
 
 def _loop(
-    level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
+    level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: Maps, maps: Maps
 ) -> None:
     sizes, depths, per_level = tables
     known_level, size_px, depth_m, std_dev_m = maps
     nan, last = np.float32(np.nan), len(sizes) - 1
     for i in range(len(level)):
-        entry = int(level[i] * np.float32(_STEPS) + np.float32(0.5))
+        entry = int(level[i] * np.float32(STEPS) + np.float32(0.5))
         entry = min(max(entry, 0), last)  # compiled code does not check the bounds of the tables
         known_level[i] = nan if unknown[i] else level[i]
         size_px[i] = nan if unknown[i] else sizes[entry]
@@ -292,15 +289,6 @@ def _loop(
         std_dev_m[i] = nan if unknown[i] else per_level[entry] * deviation[i]
 
 
-def _plain(
-    level: FloatArray, deviation: FloatArray, unknown: BoolArray, tables: _Maps, maps: _Maps
-) -> None:
-    entry = (level * _STEPS + np.float32(0.5)).astype(np.int32)
-    sizes, depths, per_level = (table.take(entry, mode="clip") for table in tables)
-    for target, values in zip(maps, (level, sizes, depths, per_level * deviation), strict=True):
-        np.copyto(target, np.where(unknown, np.float32(np.nan), values))
-
-
 # Fills maps of level, blur size, depth and deviation of depth (see `Levels.metric_maps`) from
 # tables of sizes, depths and metres per level. All are flat, which is quicker.
-look_up = Compiled(_loop, _plain, finite=False)
+look_up = Compiled(_loop, look_up_plain, finite=False)

@@ -18,7 +18,7 @@ from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.quality import Health
+from coded_aperture_ros.depth.quality import FitCheck, Health
 from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
 from coded_aperture_ros.likelihood import Cost, EngineLikelihood, Likelihood, LikelihoodModel
 from coded_aperture_ros.optics import Camera
@@ -62,6 +62,8 @@ class Plan:
         In place of the one that the configuration names.
     second_focus : SecondFocus or None
         For pairs of frames at two focus settings.
+    fit_check : FitCheck or None
+        Check of the frames, if there is one for the model and it is asked for.
     device : str or None
         PyTorch's name of the device that the network runs on; None: NumPy.
     unmeasured_camera : Camera or None
@@ -79,14 +81,14 @@ class Plan:
     small: Likelihood | None = None
     regularize: Regularizer | None = None
     second_focus: SecondFocus | None = None
+    fit_check: FitCheck | None = None
     device: str | None = None
 
     @property
     def costs_on_device(self) -> bool:
         """Whether costs stay on the device, where the network takes them."""
-        own = isinstance(self.likelihood, EngineLikelihood)
-        others = self.sides is not None or self.second_focus is not None
-        return self.device is not None and self.decoder.learned and own and not others
+        own = isinstance(self.likelihood, EngineLikelihood) and self.decoder.learned
+        return self.device is not None and own and self.sides is None and self.second_focus is None
 
     unmeasured_camera: Camera | None = None
 

@@ -161,7 +161,7 @@ def test_loops_and_numpy_tally_residuals_alike():
     weight = random.random(30)
     sizes_px = random.uniform(1, 22, 30)
     found = []
-    for tally in (evidence._tally_loop, evidence._tally_plain, evidence._tally):
+    for tally in (evidence._tally_loop, evidence._tally.plain, evidence._tally):
         sums = np.zeros((2, 13 * 4)), np.zeros((3, 31 * 15))
         arrays = at.radius, at.vertical, at.horizontal, at.directions(4)
         tally(residual, sizes_px, weight, arrays, sums)
@@ -256,6 +256,22 @@ def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
     assert asked(other).value < fifth.value
     check.reset()
     assert asked(fitting) == first
+    estimator.close()
+
+
+@pytest.mark.parametrize("remembers", [False, True])
+def test_a_frame_that_is_looked_at_before_has_the_same_health(bank, scene, remembers):
+    checks = [FitCheck(bank.stack, remembers=remembers) for _ in range(2)]
+    estimator = DepthEstimator(bank, DepthConfig(check_fit=False, confidence_threshold=0.0))
+    healths, zhou = [], Mask.named("zhou")
+    for mask in (None, None, zhou, None, zhou, None):
+        work = estimator.run_front(recorded(scene.coded(mask) if mask else scene.coded()))
+        estimator.run_back(work)
+        checks[0].begin(work.observation)
+        given = work.observation, work.frame_cost.misfit, work.level, work.confidence
+        healths.append([check(*given) for check in checks])
+    assert all(begun == usual for begun, usual in healths)
+    assert len({str(begun) for begun, _ in healths}) == 2
     estimator.close()
 
 

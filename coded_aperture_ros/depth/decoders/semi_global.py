@@ -1,7 +1,5 @@
 """Semi-global matching: cost of every level along the cheapest paths through the patches."""
 
-from typing import Any
-
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape, namespace
@@ -97,7 +95,8 @@ def smoothness_weights(
     xp = namespace(brightness)
     changes = [xp.abs(xp.diff(brightness, axis=axis)) for axis in (0, 1)]
     flat = xp.concatenate([change.ravel() for change in changes])
-    usual = np.median(flat) if xp is np else _median(flat.sort()[0])
+    ordered = np.sort(flat) if xp is np else flat.sort()[0]
+    usual = (ordered[(len(flat) - 1) // 2] + ordered[len(flat) // 2]) / 2  # the median
     weights = [
         _ACROSS_CONTRAST
         + (1 - _ACROSS_CONTRAST) * xp.exp(-((change / xp.clip(usual, 1e-6, None)) ** 2))
@@ -105,11 +104,6 @@ def smoothness_weights(
     ]
     mean = xp.concatenate([weight.ravel() for weight in weights]).mean()
     return smoothness * (weights[0] / mean), smoothness * (weights[1] / mean)
-
-
-def _median(ordered: Any) -> Any:
-    """Median of ordered values; that of PyTorch is the lower of the middle two."""
-    return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
 def bound_outliers(volume: FloatArray) -> FloatArray:

@@ -22,6 +22,16 @@ from coded_aperture_ros.depth.quality.spectra import (
     power_spectra,
     quantiles,
 )
+from coded_aperture_ros.depth.quality.tally_plain import (
+    MAP_COLUMNS,
+    MAP_ROWS,
+    MAP_STEPS,
+    RINGS,
+    SECTORS,
+    At,
+    Sums,
+    tally_plain,
+)
 from coded_aperture_ros.frames.patches import PatchGrid, window_means
 from coded_aperture_ros.optics import PsfStack
 
@@ -43,15 +53,7 @@ _LARGEST_RESIDUAL = 12.0
 _SIZE_UNIT_PX = 20.0
 _BANDS = (0.1, 0.2, 0.3, 0.4)
 _DIRECTIONS = 8
-_RINGS = 12
-_SECTORS = 4
-_MAP_ROWS = 31
-_MAP_COLUMNS = 15
-_MAP_STEPS = 2.5
 _MAP_LEAST = 30
-# Frequencies' radius, vertical and horizontal part, and sector; and what is added up by ring, map.
-_At = tuple[DoubleArray, DoubleArray, DoubleArray, IndexArray]
-_Sums = tuple[DoubleArray, DoubleArray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -206,13 +208,13 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     at = frequencies()
     mean = np.maximum(weight @ residual, 1e-3)
     band_sums, band_counts = (np.bincount(_band_cells(), values) for values in (mean, None))
-    of_rings = np.zeros((2, (_RINGS + 1) * _SECTORS))
-    of_map = np.zeros((3, _MAP_ROWS * _MAP_COLUMNS))
+    of_rings = np.zeros((2, (RINGS + 1) * SECTORS))
+    of_map = np.zeros((3, MAP_ROWS * MAP_COLUMNS))
     arrays = at.radius, at.vertical, at.horizontal, _sectors()
     _tally(residual, size_px, weight, arrays, (of_rings, of_map))
     enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
     pattern = np.log(of_map[0, enough] / of_map[1, enough])
-    rings = of_rings.reshape(2, -1, _SECTORS)[:, :_RINGS]
+    rings = of_rings.reshape(2, -1, SECTORS)[:, :RINGS]
     rings = np.log((rings[0] + 0.002) / (rings[1] + 0.002))
     ring_mean = rings.mean(axis=1)
     return [
@@ -234,11 +236,11 @@ def _band_cells() -> IndexArray:
 
 @lru_cache(maxsize=1)
 def _sectors() -> IndexArray:
-    return frequencies().directions(_SECTORS)
+    return frequencies().directions(SECTORS)
 
 
 def _tally_loop(
-    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
+    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: At, sums: Sums
 ) -> None:
     """Add up residuals and weights by ring and sector, and in a map of the PSFs' frequencies."""
     (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
@@ -246,30 +248,15 @@ def _tally_loop(
         size = size_px[i]
         for k in range(len(radius)):
             share = weight[i] * residual[i, k]
-            cell = min(int(2 * size * radius[k]), _RINGS) * _SECTORS + sector[k]
+            cell = min(int(2 * size * radius[k]), RINGS) * SECTORS + sector[k]
             of_rings[0, cell] += share
             of_rings[1, cell] += weight[i]
-            column = min(int(size * horizontal[k] * _MAP_STEPS), _MAP_COLUMNS - 1)
-            row = int(size * vertical[k] * _MAP_STEPS + _MAP_ROWS // 2)
-            cell = column * _MAP_ROWS + min(max(row, 0), _MAP_ROWS - 1)
+            column = min(int(size * horizontal[k] * MAP_STEPS), MAP_COLUMNS - 1)
+            row = int(size * vertical[k] * MAP_STEPS + MAP_ROWS // 2)
+            cell = column * MAP_ROWS + min(max(row, 0), MAP_ROWS - 1)
             of_map[0, cell] += share
             of_map[1, cell] += weight[i]
             of_map[2, cell] += 1
 
 
-def _tally_plain(
-    residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: _At, sums: _Sums
-) -> None:
-    (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
-    weights = np.repeat(weight, len(radius))
-    values = weights * residual.ravel(), weights, None
-    ring = np.minimum(np.outer(2 * size_px, radius).astype(int), _RINGS)
-    column = np.minimum((np.outer(size_px, horizontal) * _MAP_STEPS).astype(int), _MAP_COLUMNS - 1)
-    row = (np.outer(size_px, vertical) * _MAP_STEPS + _MAP_ROWS // 2).astype(int)
-    in_map = column * _MAP_ROWS + np.clip(row, 0, _MAP_ROWS - 1)
-    for totals, cell in ((of_rings, ring * _SECTORS + sector), (of_map, in_map)):
-        for total, value in zip(totals, values, strict=False):
-            total += np.bincount(cell.ravel(), value, len(total))
-
-
-_tally = Compiled(_tally_loop, _tally_plain)
+_tally = Compiled(_tally_loop, tally_plain)

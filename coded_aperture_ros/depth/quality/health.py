@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Iterator
 from functools import cached_property, lru_cache
+from itertools import chain, islice
 
 import numpy as np
 
@@ -14,6 +15,8 @@ from coded_aperture_ros.depth.quality.spectra import quantiles
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
 from coded_aperture_ros.optics import PsfStack
 
+# Windows, and features of the whole frame.
+_Look = tuple[Evidence, list[float]]
 SCHEMA = "coded-aperture check of fit"
 SCHEMA_VERSION = 2
 # Name of each cause, its description and remedy; in the order of the network's outputs.
@@ -190,6 +193,17 @@ class FitCheck:
         self._frames = 0
         self._outputs: FloatArray | None = None
         self._health: Health | None = None
+        self._begun: Iterator[_Look] | None = None
+
+    def begin(self, observation: Observation) -> None:
+        """Look at the next frame, if it is to be checked, before anything is known of its depth."""
+        if self._is_due:
+            looks = self._looks(observation)
+            self._begun = chain(list(islice(looks, 1)), looks)
+
+    @property
+    def _is_due(self) -> bool:
+        return not self._remembers or self._frames % _FRAME_INTERVAL == 0
 
     def __call__(
         self,
@@ -208,7 +222,7 @@ class FitCheck:
         level, confidence : ndarray, float32 [rows, columns]
             Estimated fractional level of every pixel, and its confidence.
         """
-        due = not self._remembers or self._frames % _FRAME_INTERVAL == 0
+        due = self._is_due
         self._frames += 1
         if not due:
             return self._health
@@ -239,6 +253,14 @@ class FitCheck:
 
         Nothing if the frame has too little texture. Parameters are those of a call.
         """
+        looks, self._begun = self._begun or self._looks(observation), None
+        for windows, rest in looks:
+            map_features = self._map_features(windows, observation, misfit, level, confidence)
+            numbers = [*windows.features, *rest[:-1], *map_features, rest[-1]]
+            yield np.nan_to_num(np.array(numbers, np.float32))
+
+    def _looks(self, observation: Observation) -> Iterator[_Look]:
+        """Windows of a frame, few and then more, and features of the whole frame."""
         grey, noise = observation.grey, max(observation.noise.typical, _LEAST_NOISE)
         if noise < _CLEANEST:  # only simulated frames have so little noise
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
@@ -256,9 +278,7 @@ class FitCheck:
             if windows is not None:
                 at = windows.rows + top, windows.columns + left
                 windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
-                map_features = self._map_features(windows, observation, misfit, level, confidence)
-                numbers = [*windows.features, *statistics, *map_features, smaller]
-                yield np.nan_to_num(np.array(numbers, np.float32))
+                yield windows, [*statistics, smaller]
 
     def _map_features(
         self,

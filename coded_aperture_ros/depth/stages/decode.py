@@ -13,6 +13,7 @@ from coded_aperture_ros.depth.decoders.edges import edge_correction
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS, regularizer
 from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
 SIDE = LayerSpec(
@@ -76,7 +77,8 @@ def make(plan: Plan, config: Config) -> Stage:
         if plan.device is not None and plan.sides is None:
             from coded_aperture_ros.depth.decoders.network.on_device.decoder import DeviceDecoder
 
-            return Decode(DeviceDecoder(plan.levels, plan.small.grid, plan.device, own))
+            on_device = DeviceDecoder(plan.levels, plan.small.grid, plan.device, own)
+            return Decode(on_device, plan.fit_check)
         network = NetworkDecoder(
             plan.levels, plan.small.grid, plan.sides, plan.workers, config.network, own
         )
@@ -96,11 +98,15 @@ class Decode(Stage):
     """Decides level, deviation and confidence of every pixel."""
 
     decoder: Callable[..., Decoded]
+    # Begins on the processor while a device decides.
+    check: FitCheck | None = None
     name = "decode"
 
     def __call__(self, work: Work) -> None:
         """Decide by the cost of all frames that count."""
         work.decoded = decoded = self.decoder(work.seen, work.volume, work.frame_cost, work.size)
+        if self.check is not None:
+            self.check.begin(work.observation)
         work.level = decoded.level
         work.deviation = decoded.deviation
         work.confidence = decoded.confidence

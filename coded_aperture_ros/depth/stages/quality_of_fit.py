@@ -8,10 +8,9 @@ from coded_aperture_ros.core.arrays import FloatArray, in_memory
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.quality import FitCheck, Health, can_be_checked
+from coded_aperture_ros.depth.quality import FitCheck, Health
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
-from coded_aperture_ros.likelihood.bank import FilterBank
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "check_fit"
@@ -40,20 +39,7 @@ class Config(temporal.Config):
 
 def make(plan: Plan, config: Config) -> Stage:
     """Stage of the check."""
-    return QualityOfFit(_fit_check(plan, config), plan.levels)
-
-
-def _fit_check(plan: Plan, config: Config) -> FitCheck | None:
-    """Check of the plan's bank; None for models that cannot be checked."""
-    model = plan.model
-    if not (isinstance(model, FilterBank) and can_be_checked(model.stack)):
-        return None
-    return FitCheck(
-        model.stack,
-        remembers=config.temporal_frames > 0,
-        guarded=model.guard_levels > 0,
-        middle_only=model.field is not None,
-    )
+    return QualityOfFit(plan.fit_check, plan.levels)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -184,8 +184,8 @@ def upsample_half_cells(
     cv = filters(values)
     bordered = cv.copyMakeBorder(values, 1, 1, 1, 1, cv.BORDER_REPLICATE)
     if cv is not cv2:
-        part = np.s_[first[0] : first[0] + shape[0], first[1] : first[1] + shape[1]]
-        return array_forms.drawn(bordered, quarters, one_surface)[part]
+        whole = array_forms.drawn(bordered, quarters, one_surface)
+        return whole[first[0] :, first[1] :][: shape[0], : shape[1]]
     drawn = np.empty(shape, np.float32)
     draw(bordered, quarters, np.float32(one_surface), first, drawn)
     return drawn

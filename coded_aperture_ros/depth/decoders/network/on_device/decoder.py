@@ -46,26 +46,49 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 
+# What every frame's result has.
+_MAPS = ("level", "deviation", "confidence", "checked")
 # Zeros before and after the tried blur sizes; see `described`.
 _MARGIN = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class DeviceDecoded:
-    """Levels decided on a device; see `NetworkDecoded`. What is seldom needed stays there.
+    """Levels decided on a device; see `NetworkDecoded`.
 
-    It has to be asked for before the next frame.
+    Nothing waits for the device until a map is asked for. What is seldom needed stays there, and
+    has to be asked for before the next frame.
     """
 
-    level: FloatArray
-    deviation: FloatArray
-    confidence: FloatArray
-    checked: FloatArray
+    found: Tensors
     drawing: Drawing
     scale: SizeScale
-    remaining: Tensors
     tried_px: FloatArray
     side_confidence: FloatArray | None = None
+
+    @property
+    def level(self) -> FloatArray:
+        """See `Decoded.level`."""
+        return self._maps["level"]
+
+    @property
+    def deviation(self) -> FloatArray:
+        """See `Decoded.deviation`."""
+        return self._maps["deviation"]
+
+    @property
+    def confidence(self) -> FloatArray:
+        """See `Decoded.confidence`."""
+        return self._maps["confidence"]
+
+    @property
+    def checked(self) -> FloatArray:
+        """See `NetworkDecoded`."""
+        return self._maps["checked"]
+
+    @cached_property
+    def _maps(self) -> dict[str, FloatArray]:
+        return download({name: self.found[name] for name in _MAPS})
 
     def quantile(self, probability: float) -> FloatArray:
         """See `Decoded.quantile`."""
@@ -78,7 +101,7 @@ class DeviceDecoded:
     @cached_property
     def whole(self) -> NetworkDecoded:
         """All that the network has found, in the processor's memory."""
-        found = download(self.remaining)
+        found = download({name: values for name, values in self.found.items() if name not in _MAPS})
         half_cells = HalfCells(
             size_px=found["size_px"],
             about=found["about"],
@@ -153,14 +176,9 @@ class DeviceDecoder:
         if volume is not frame_cost.volume:
             inputs["volume"] = volume
         found = self._step(observation, size, "volume" in inputs)(inputs)
-        names = ("level", "deviation", "confidence", "checked")
-        maps = download({name: found[name] for name in names})
-        remaining = {name: values for name, values in found.items() if name not in names}
         cells = Cells.covering(observation.grey.shape, observation.grid)
         drawing = Drawing(cells, size, np.zeros((0, 0), np.intp))
-        return DeviceDecoded(
-            **maps, drawing=drawing, scale=self._scale, remaining=remaining, tried_px=self._tried_px
-        )
+        return DeviceDecoded(found, drawing, self._scale, self._tried_px)
 
     @property
     def is_recorded(self) -> bool:
