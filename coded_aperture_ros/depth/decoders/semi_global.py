@@ -103,7 +103,7 @@ def smoothness_weights(
         for change in changes
     ]
     mean = xp.concatenate([weight.ravel() for weight in weights]).mean()
-    return smoothness * (weights[0] / mean), smoothness * (weights[1] / mean)
+    return float(smoothness) * (weights[0] / mean), float(smoothness) * (weights[1] / mean)
 
 
 def bound_outliers(volume: FloatArray) -> FloatArray:

@@ -188,14 +188,7 @@ def _matches(
     spread = _smoothed(present * present) - _smoothed(present) ** 2
     bandwidth = variance + _BANDWIDTH * xp.clip(spread, 0, None)
     around = cv.copyMakeBorder(last, *[_REACH] * 4, cv.BORDER_REPLICATE)
-    height, width = present.shape
-    distance = zeros(((2 * _REACH + 1) ** 2, *spread.shape), present)
-    difference = xp.empty_like(present)
-    for shift, of_shift in enumerate(distance):
-        down, right = divmod(shift, 2 * _REACH + 1)
-        xp.subtract(around[down : down + height, right : right + width], present, out=difference)
-        xp.multiply(difference, difference, out=difference)
-        of_shift[:] = _smoothed(difference)
+    distance = _distances(around, present)
     distance -= variance
     xp.clip(distance, 0, None, out=distance)
     distance /= -bandwidth
@@ -205,6 +198,27 @@ def _matches(
     weights = (to_patches @ alike.reshape(len(alike), -1)).reshape(-1, *match.shape)
     weights /= xp.clip(weights.sum(axis=0), 1e-12, None)
     return weights.reshape(3, 3, *match.shape), match
+
+
+def _distances(around: FloatArray, present: FloatArray) -> FloatArray:
+    """Mean squared difference of every shift, smoothed, of every patch [shifts, rows, columns].
+
+    `around` is the last frame with a border of `_REACH`.
+    """
+    xp, (height, width) = namespace(present), present.shape
+    shifts = [divmod(shift, 2 * _REACH + 1) for shift in range((2 * _REACH + 1) ** 2)]
+    shifted = [around[i : i + height, j : j + width] for i, j in shifts]
+    if xp is not np:  # few large operations
+        differences = xp.stack(shifted, -1) - present[..., None]
+        of_shifts: FloatArray = xp.moveaxis(_smoothed(differences**2), -1, 0)
+        return of_shifts
+    difference = np.empty_like(present)
+    distance = []
+    for each in shifted:
+        np.subtract(each, present, out=difference)
+        np.multiply(difference, difference, out=difference)
+        distance.append(_smoothed(difference))
+    return np.stack(distance)
 
 
 def _smoothed(samples: FloatArray) -> FloatArray:
