@@ -31,6 +31,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.stages.field_doubt import field_note
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.frames.frame import LateFrameError
@@ -176,6 +177,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.get_logger().info(note)
         if warning := side_warning(model):
             self.get_logger().warning(warning)
+        if self._model.camera is not None and (note := field_note(self._model.camera)):
+            self.get_logger().warning(note)
         self._pipeline = FramePipeline(model, self._model.camera, configs[DepthConfig], deblur=None)
 
     def unload(self) -> None:

@@ -57,3 +57,23 @@ class FieldDoubt(Stage):
         # In the middle nothing is off.
         steps = np.minimum(_STEPS * tolerance_px / np.maximum(off_px, 1e-6), 4 * _STEPS - 1)
         return _WITHIN.take(steps.astype(np.int32))
+
+
+def field_note(camera: Camera) -> str | None:
+    """Note for users if a camera's lens was not measured away from the axis; else None.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask
+    >>> camera = Camera(800.0, 0.6, 640, 480, Mask.named("levin"), 8.0, focal_length_mm=16.0)
+    >>> field_note(camera).rpartition(": ")[2]
+    'measure the lens with calibrate field'
+    """
+    defocus = unmeasured_defocus(camera, (camera.image_height, camera.image_width))
+    if defocus is None:
+        return None
+    off_px = float(defocus.max()) * camera.blur_per_dioptre_px
+    return (
+        f"calibrated: {camera.calibrated}: depth away from the axis is doubted, as blur may be "
+        f"{off_px:.2g} px off in the corners: measure the lens with calibrate field"
+    )

@@ -19,11 +19,11 @@ WHEN = "check_fit"
 _MOST = 0.6
 _SURE = 0.45
 _FEWEST_SURE = 0.02
-# Distance from the last level, in levels.
-_AT_END = 1.5
+# What is at an end, as a share of the levels.
+_AT_END = 0.05
 # A bank from this blur on, px, has what is sharp among its levels.
 _SHARP_PX = 0.5
-_VALUE = 0.4
+_VALUE, _FITS = 0.4, Health(1.0)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,7 +39,8 @@ class Config(temporal.Config):
 
 def make(plan: Plan, config: Config) -> Stage:
     """Stage of the check."""
-    return QualityOfFit(plan.fit_check, plan.levels)
+    levels = plan.levels if isinstance(plan.model, FilterBank) else None
+    return QualityOfFit(plan.fit_check, levels)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class QualityOfFit(Stage):
     """
 
     check: FitCheck | None
-    levels: Levels
+    levels: Levels | None  # of a bank
     name = "quality of fit"
 
     def __call__(self, work: Work) -> None:
@@ -62,7 +63,8 @@ class QualityOfFit(Stage):
             own = self.check(work.observation, in_memory(misfit), work.level, sure)
             if own is not None and (health is None or own.value <= health.value):
                 health = own
-        health = limit_at_end(health, self.levels, work.level, work.confidence)
+        if self.levels is not None:
+            health = limit_at_end(health, self.levels, work.level, work.confidence)
         work.health = health
         if health is not None:
             work.confidence = health.limit_confidence(work.confidence)
@@ -113,8 +115,8 @@ def limit_at_end(
     sure = level[some][confidence[some] >= _SURE]
     if sure.size < _FEWEST_SURE * level[some].size:
         return health
-    at_ends = (sure <= _AT_END).mean(), (sure >= len(levels) - 1 - _AT_END).mean()
-    shares = np.multiply(open_ends(levels), at_ends)
-    if max(shares) < _MOST or (health is not None and health.value < _VALUE):
-        return health
-    return Health(_VALUE, "range")
+    last = len(levels) - 1
+    at_ends = (sure <= _AT_END * last).mean(), (sure >= last - _AT_END * last).mean()
+    at_end = max(np.multiply(open_ends(levels), at_ends)) >= _MOST
+    fits = health is None or health.value >= _VALUE
+    return Health(_VALUE, "range") if at_end and fits else health
