@@ -185,7 +185,8 @@ class DepthEstimator:
         return self._planned
 
     def _new_stages(self, shape: Shape) -> _Planned:
-        config, model = self.config, self.model
+        config, model, camera = self.config, self.model, self.camera
+        doubted = camera is not None and camera.focal_length_mm and not camera.field_is_measured
         threads = thread_count(config.threads)
         with ExitStack() as unless_made:
             stride_px = config.stride_px or model.stride_px
@@ -211,18 +212,11 @@ class DepthEstimator:
                 second_focus=self._second_focus,
                 fit_check=self._fit_check(),
                 device=torch_device(config.backend),
-                unmeasured_camera=self._unmeasured_camera,
+                unmeasured_camera=camera if doubted else None,
             )
             planned = _Planned(plan, make_front(plan, config), make_back(plan, config))
             unless_made.pop_all()
         return planned
-
-    @property
-    def _unmeasured_camera(self) -> Camera | None:
-        """The camera, if its lens may be off away from the axis, and by how much is known."""
-        camera = self.camera
-        known = camera is None or camera.focal_length_mm is None or camera.field_is_measured
-        return None if known else camera
 
     def _focal_sides(self, shape: Shape) -> FocalSides | None:
         stack = self.model.stack

@@ -11,6 +11,7 @@ from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.quality import FitCheck, Health
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
+from coded_aperture_ros.likelihood.bank import FilterBank
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "check_fit"
@@ -23,7 +24,7 @@ _FEWEST_SURE = 0.02
 _AT_END = 0.05
 # A bank from this blur on, px, has what is sharp among its levels.
 _SHARP_PX = 0.5
-_VALUE, _FITS = 0.4, Health(1.0)
+_VALUE = 0.4
 
 
 @dataclasses.dataclass(frozen=True)
