@@ -307,7 +307,7 @@ SUITE = Suite(
     name="gpu",
     description="Depth with the default refinement on a GPU, by PyTorch: whether levels are those "
     "of the processor, on rendered scenes, and how long frames and stages take, beside NumPy with "
-    "OpenCV on the same computer; and deblurring by fast. It takes a few minutes.",
+    "OpenCV on the same computer; and deblurring by fast.",
     examples="""examples:
   on the GPU of this computer:
     python -m coded_aperture_benchmarks gpu
