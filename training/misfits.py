@@ -20,8 +20,10 @@ from scenes import (
     build_scene,
     frame_numbers,
     is_fenced,
+    is_measured,
     light_and_blur,
     mask_named,
+    measured_view,
     scene_plan,
     uneven_mask,
 )
@@ -51,6 +53,25 @@ _PSF_MISFITS = (
     "mask turned",
     "mask mirrored",
 )
+# On photographs with measured disparity what is overlooked there is tried the most.
+_MEASURED_SHARE = 0.12
+_MEASURED_SHARES = {
+    "other mask": 0.8,
+    "no mask": 0.7,
+    "all in focus": 0.7,
+    "enlarged": 0.7,
+    "enlarged linearly": 0.5,
+    "smoothed": 0.4,
+    "mask inverted": 0.4,
+    "mask with an open margin": 0.3,
+    "mask turned": 0.3,
+    "correlated noise": 0.3,
+    "out of range": 0.3,
+    "astigmatism": 0.25,
+    "part of the mask covered": 0.2,
+    "shake": 0.2,
+    "denoised": 0.2,
+}
 _STEPS = 5
 _FITTING_FRAMES = 3
 # Small parts are shown beside: of every fitting frame, and of some of the others.
@@ -112,6 +133,10 @@ def _changed(stack: PsfStack | None, kind: str, step: int) -> PsfStack | None:
 @lru_cache(maxsize=1)
 def _scene(number: int, folder: Path) -> LayeredScene:
     plan = scene_plan(number)
+    if is_measured(number):
+        # As it was rendered.
+        random = np.random.default_rng([6, number])
+        return measured_view(plan, folder.parent / "measured", random)[0]
     scene, _ = build_scene(plan)
     if not _shows_board(number):
         return scene
@@ -141,7 +166,8 @@ def _printed(board: Layer, photographs: list[Path], random: np.random.Generator)
 
 
 def _shows_board(number: int) -> bool:
-    every = number % _BOARD_EVERY == 0 and not scene_plan(number).fence
+    scene = not (scene_plan(number).fence or is_measured(number))
+    every = number % _BOARD_EVERY == 0 and scene
     return every or _shows_boards_only(number)
 
 
@@ -238,10 +264,8 @@ def _examples(
     levels = _Levels.between(own, *ends)
     for frame in _fitting_frames(fitting, random):
         yield _Example(FITS, 0.0, frame, levels)
-    often = _FENCED_FACTOR if is_fenced(number) else 1.0
     for kind, misfit in MISFITS.items():
-        share = often * (_PSF_SHARE if kind in _PSF_MISFITS else _SHARE)
-        if not misfit.traced or random.random() > share:
+        if not misfit.traced or random.random() > _share(kind, number):
             continue
         if kind in _PSF_MISFITS:
             step = int(random.integers(_STEPS))
@@ -261,6 +285,14 @@ def _examples(
             low = sizes[0] if sizes[0] > ends[0] else max(sizes[-1] - span, sizes[0])
             known = _Levels.between(own, low, min(low + span, sizes[-1]))
         yield _Example(kind, strength, one, known)
+
+
+def _share(kind: str, number: int) -> float:
+    """In how many frames such as this one a kind of misfit is tried."""
+    if is_measured(number):
+        return _MEASURED_SHARES.get(kind, _MEASURED_SHARE)
+    often = _FENCED_FACTOR if is_fenced(number) else 1.0
+    return often * (_PSF_SHARE if kind in _PSF_MISFITS else _SHARE)
 
 
 def _fitting_frames(fitting: Fitting, random: np.random.Generator) -> Iterator[Recorded]:

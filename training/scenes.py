@@ -204,15 +204,23 @@ def render(number: int, photographs: Path = Path("measured")) -> Arrays:
     }
 
 
-def _render_measured(plan: ScenePlan, photographs: Path, random: np.random.Generator) -> Arrays:
-    """The same of a photograph of a folder of folders; the truth is 0 where it is not known."""
+def measured_view(
+    plan: ScenePlan, photographs: Path, random: np.random.Generator
+) -> tuple[LayeredScene, np.ndarray]:
+    """Part of a photograph of a folder of folders, and where its truth is known."""
     folders = sorted(path.parent for path in photographs.glob("*/disparity.npz"))
     if not folders:
         raise SystemExit(f"{photographs}: no folder with disparity.npz in it: see README.md")
-    mask, shape = mask_named(plan.mask), (FRAME_PX, FRAME_PX)
     assert plan.blur_range_px is not None
     measured = load_measured(folders[plan.seed % len(folders)])
-    scene, known = measured_scene(measured, mask, plan.blur_range_px, shape, random)
+    shape = (FRAME_PX, FRAME_PX)
+    return measured_scene(measured, mask_named(plan.mask), plan.blur_range_px, shape, random)
+
+
+def _render_measured(plan: ScenePlan, photographs: Path, random: np.random.Generator) -> Arrays:
+    """The same of a photograph; the truth is 0 where it is not known."""
+    mask = mask_named(plan.mask)
+    scene, known = measured_view(plan, photographs, random)
     light = scene.coded(uneven_mask(mask, random.uniform(0, 0.08), random))
     return {
         "light": np.rint(np.clip(light, 0, 1) / LIGHT_STEP).astype(np.uint16),
