@@ -12,6 +12,7 @@ from banks import BankPair, kept_banks
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, Recorded, recorded
 from coded_aperture_benchmarks.datasets.misfits import MISFITS
 from measured import photograph_board
+from misfit_shares import PSF_MISFITS, share_tried
 from scenes import (
     FIRST_BOARD_SHARD,
     FRAME_PX,
@@ -19,7 +20,6 @@ from scenes import (
     SCENES,
     build_scene,
     frame_numbers,
-    is_fenced,
     is_measured,
     light_and_blur,
     mask_named,
@@ -40,38 +40,6 @@ from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer
 # Levels of all banks; each frame is shown to some of them.
 _SIZES_PX = np.arange(0.6, 22.01, 0.55)
 _FEWEST = 8
-# Of every kind of misfit, in how many frames it is tried; what changes PSFs needs banks of its own.
-_SHARE = 0.3
-_PSF_SHARE = 0.25
-# Where something stands before a room, in fewer: such frames are shown as what may well fit.
-_FENCED_FACTOR = 0.4
-_PSF_MISFITS = (
-    "other mask",
-    "mask inverted",
-    "mask with an open margin",
-    "part of the mask covered",
-    "mask turned",
-    "mask mirrored",
-)
-# On photographs with measured disparity what is overlooked there is tried the most.
-_MEASURED_SHARE = 0.12
-_MEASURED_SHARES = {
-    "other mask": 0.8,
-    "no mask": 0.7,
-    "all in focus": 0.7,
-    "enlarged": 0.7,
-    "enlarged linearly": 0.5,
-    "smoothed": 0.4,
-    "mask inverted": 0.4,
-    "mask with an open margin": 0.3,
-    "mask turned": 0.3,
-    "correlated noise": 0.3,
-    "out of range": 0.3,
-    "astigmatism": 0.25,
-    "part of the mask covered": 0.2,
-    "shake": 0.2,
-    "denoised": 0.2,
-}
 _STEPS = 5
 _FITTING_FRAMES = 3
 # Small parts are shown beside: of every fitting frame, and of some of the others.
@@ -265,9 +233,9 @@ def _examples(
     for frame in _fitting_frames(fitting, random):
         yield _Example(FITS, 0.0, frame, levels)
     for kind, misfit in MISFITS.items():
-        if not misfit.traced or random.random() > _share(kind, number):
+        if not misfit.traced or random.random() > share_tried(kind, number):
             continue
-        if kind in _PSF_MISFITS:
+        if kind in PSF_MISFITS:
             step = int(random.integers(_STEPS))
             other = _named_banks(f"{scene_plan(number).mask}+{kind}+{step}", folder)
             if other is not None:
@@ -285,14 +253,6 @@ def _examples(
             low = sizes[0] if sizes[0] > ends[0] else max(sizes[-1] - span, sizes[0])
             known = _Levels.between(own, low, min(low + span, sizes[-1]))
         yield _Example(kind, strength, one, known)
-
-
-def _share(kind: str, number: int) -> float:
-    """In how many frames such as this one a kind of misfit is tried."""
-    if is_measured(number):
-        return _MEASURED_SHARES.get(kind, _MEASURED_SHARE)
-    often = _FENCED_FACTOR if is_fenced(number) else 1.0
-    return often * (_PSF_SHARE if kind in _PSF_MISFITS else _SHARE)
 
 
 def _fitting_frames(fitting: Fitting, random: np.random.Generator) -> Iterator[Recorded]:
