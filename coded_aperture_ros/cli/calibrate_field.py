@@ -34,7 +34,7 @@ parallel to the sensor, with fine texture up to the corners, over the range of d
 distances are from the entrance pupil of the lens.
 """
 # What a camera file gets of it.
-_FOUND = ("mask_extent_mm", "field_curvature", "wavefront")
+_FOUND = ("mask_extent_mm", "field_curvature", "wavefront", "calibrated")
 _FIGURES = ("depth_m", "found_m", "error_without", "error")
 
 
@@ -100,7 +100,7 @@ def run(args: Arguments) -> int:
             path.write_text(field_page(found, field_text(summary), pictures, misplaced), "utf-8")
     if args.output is not None:
         changed = {name: summary[name] for name in _FOUND if name in summary}
-        entries = {**camera_entries(args.camera), **changed, "calibrated": "field"}
+        entries = {**camera_entries(args.camera), **changed}
         with atomic_output(args.output) as path:
             path.write_text(yaml.safe_dump(entries, sort_keys=False), encoding="utf-8")
     return print_summary(summary, field_text, as_json=args.json, warnings=misplaced)
@@ -116,6 +116,7 @@ def field_summary(found: FieldFit, camera: Camera) -> dict[str, Any]:
         "mask_extent_mm": camera.mask_extent_mm,
         "field_curvature": [curvature.second, curvature.fourth],
         **({"wavefront": camera.wavefront.entry} if camera.wavefront is not None else {}),
+        "calibrated": "field",
         "corner_dioptres": round(corner, 4),
         "corner_px": round(corner * camera.blur_per_dioptre_px, 2),
         "planes": [
@@ -149,6 +150,7 @@ def field_text(summary: Summary) -> str:
         f"mask_extent_mm: {summary['mask_extent_mm']:g}",
         f"field_curvature: {summary['field_curvature']}  # dioptres",
         *([f"wavefront: {json.dumps(summary['wavefront'])}"] if "wavefront" in summary else []),
+        f"calibrated: {summary['calibrated']}",
         f"# in the corner the blur is {summary['corner_px']:g} px less, by "
         f"{summary['corner_dioptres']:g} dioptres; median errors of the planes:",
         "#    at, m   without   with the fit to the others",

@@ -167,7 +167,9 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
         # The misplaced one is predicted otherwise.
         assert (abs(float(measured) - float(predicted)) < 0.4) == (name != "3")
     refused(call(capsys, *arguments, "--report", tmp_path / "0.png"), "0.png", "input")
-    assert printed == {key: told[key] for key in ("mask_extent_mm", "field_curvature")}
+    assert printed == {
+        key: told[key] for key in ("mask_extent_mm", "field_curvature", "calibrated")
+    }
     assert camera_from_mapping({**STRAIGHT_FILE, **printed}).field_curvature
     for name, value in {"_ROUNDS": 1, "ROWS": 3, "COLUMNS": 4}.items():
         monkeypatch.setattr(f"coded_aperture_ros.calibration.planes.wavefront.{name}", value)
@@ -177,7 +179,7 @@ def test_the_command(planes, tmp_path, capsys, caplog, monkeypatch):
     for kept in (tmp_path / "0.png", camera):
         refused(call(capsys, *arguments, "--psfs", "--picture", kept), kept.name, "input")
     lens = yaml.safe_load(call(capsys, *arguments, "--psfs", "--picture", picture).out)
-    assert set(lens) == {"mask_extent_mm", "field_curvature", "wavefront"}
+    assert set(lens) == {"mask_extent_mm", "field_curvature", "wavefront", "calibrated"}
     found = camera_from_mapping({**STRAIGHT_FILE, **lens})
     assert found.wavefront.corner == pytest.approx(np.hypot(128, 96) / 500, rel=0.01)
     assert read_image(picture).max() > 0.5
