@@ -6,12 +6,12 @@ import torch
 from torch.nn import functional
 
 from coded_aperture_ros.calibration.fine_tuning.network import BINS, NEIGHBOURS
+from coded_aperture_ros.depth.decoders.network.array_forms import REACH
 from coded_aperture_ros.depth.decoders.network.features import (
     BLUR_SIZES_PX,
     BLUR_STEP_PX,
     LARGEST_PX,
 )
-from coded_aperture_ros.depth.decoders.network.probabilities import REACH
 
 _UNTRIED = -1e4
 _RIGHT_PX = 1.5

@@ -24,7 +24,7 @@ VOTERS = 5
 # Squared difference of colour that outweighs a half-cell's distance.
 DISTANCE = 0.05
 # Bins on either side of the likeliest that a blur size is the mean over.
-_ABOUT = 2
+REACH = 2
 _AROUND = np.ones((3, 3), np.uint8)
 
 
@@ -44,11 +44,11 @@ def described(padded: FloatArray, tried_px: FloatArray) -> tuple[FloatArray, Ind
     first : ndarray, int [n]
     """
     xp = namespace(padded)
-    probability = padded[_ABOUT:-_ABOUT]
+    probability = padded[REACH:-REACH]
     together = padded[1:-3] + probability + padded[3:-1]
     best = together.argmax(0)
-    steps = np.arange(-_ABOUT, _ABOUT + 1)
-    bins = best + constant(steps[:, None] + _ABOUT, padded)
+    steps = np.arange(-REACH, REACH + 1)
+    bins = best + constant(steps[:, None] + REACH, padded)
     around = padded[bins, constant(np.arange(padded.shape[1]), padded)]
     about = around.sum(axis=0)
     off = constant(steps.astype(np.float32), padded) @ around
@@ -102,7 +102,7 @@ def counted(
         votes += weight[..., None] * every[place]
     best = 1 + (votes[..., :-2] + votes[..., 1:-1] + votes[..., 2:]).argmax(-1)
     numbers = constant(np.arange(bins, dtype=np.float32), shares)
-    votes = votes * (xp.abs(numbers - best[..., None]) <= _ABOUT)
+    votes = votes * (xp.abs(numbers - best[..., None]) <= REACH)
     summed = votes.sum(axis=-1)
     return votes @ numbers / summed, summed / weights.sum(axis=0)
 

@@ -7,12 +7,10 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.array_forms import described
+from coded_aperture_ros.depth.decoders.network.array_forms import REACH, described
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide, count_votes
 from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds
 
-# Bins on either side of the likeliest that the blur size is the mean over.
-REACH = 2
 # Share of errors within one standard deviation, and its largest ratio to the probability.
 _WITHIN_ONE = 0.68
 _SUREST = 0.98

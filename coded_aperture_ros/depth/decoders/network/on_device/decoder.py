@@ -12,7 +12,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape, constant
 from coded_aperture_ros.core.tensors.interpolation import interpolate
 from coded_aperture_ros.core.tensors.recorded import Recorded, Tensors
 from coded_aperture_ros.core.tensors.transfer import download
-from coded_aperture_ros.depth.decoders.network.array_forms import described
+from coded_aperture_ros.depth.decoders.network.array_forms import REACH, described
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide
 from coded_aperture_ros.depth.decoders.network.cells import Cells, Drawing
 from coded_aperture_ros.depth.decoders.network.decoder import (
@@ -48,8 +48,6 @@ from coded_aperture_ros.likelihood import Cost
 
 # What every frame's result has.
 _MAPS = ("level", "deviation", "confidence", "checked")
-# Zeros before and after the tried blur sizes; see `described`.
-_MARGIN = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -252,8 +250,8 @@ class DeviceDecoder:
         """Half-cells, each by itself; see `HalfCells.from_logits`."""
         tried_px, shape = constant(self._tried_px, logits.size), logits.log_width.shape
         flat = torch.flatten(logits.size, 1)
-        padded = flat.new_zeros(len(flat) + 2 * _MARGIN, flat.shape[1])
-        padded[_MARGIN:-_MARGIN] = torch.exp(flat - flat.amax(0))
+        padded = flat.new_zeros(len(flat) + 2 * REACH, flat.shape[1])
+        padded[REACH:-REACH] = torch.exp(flat - flat.amax(0))
         results, first = described(padded, tried_px)
         size_px, about, spread, mean = results[:4].reshape(4, *shape)
         votes = Votes(first.reshape(shape), results[4:].T.reshape(*shape, -1), mean)
