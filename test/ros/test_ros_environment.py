@@ -157,8 +157,34 @@ print(faults(20))
 """
 
 
-def test_memory_of_a_frame_is_kept_for_the_next():
-    done = run_python("-c", MEMORY)
+# Four maps of 1280x720 in 32 bits, twenty times, in pages of 4 KiB.
+PAGES_OF_FRAMES = 20 * 4 * 720 * 1280 * 4 / 4096
+
+
+def page_faults_of_frames(**variables):
+    """Those of frames of `MEMORY`, where only these variables are glibc's."""
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith("MALLOC_") and name != "GLIBC_TUNABLES"
+    }
+    done = run_python("-c", MEMORY, env=kept | variables)
     assert done.returncode == 0, done.stderr
+    return int(done.stdout)
+
+
+def test_memory_of_a_frame_is_kept_for_the_next():
     if platform.libc_ver()[0] == "glibc":
-        assert int(done.stdout) < 20 * 4 * 720 * 1280 * 4 / 4096 / 10
+        assert page_faults_of_frames() < PAGES_OF_FRAMES / 10
+
+
+@pytest.mark.parametrize(
+    "chosen",
+    [
+        {"MALLOC_TRIM_THRESHOLD_": "100000"},
+        {"GLIBC_TUNABLES": "glibc.malloc.trim_threshold=100000"},
+    ],
+)
+def test_settings_of_the_user_for_memory_stay(chosen):
+    if platform.libc_ver()[0] == "glibc":
+        assert page_faults_of_frames(**chosen) > PAGES_OF_FRAMES / 2
