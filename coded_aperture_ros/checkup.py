@@ -10,7 +10,7 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import CAUSE_TEXTS, DepthConfig, DepthEstimate
 from coded_aperture_ros.depth.decoders.network import unsupported_reason
-from coded_aperture_ros.depth.quality import can_be_checked
+from coded_aperture_ros.depth.quality import unchecked_reason
 from coded_aperture_ros.design.setting import Setting, design_setting, resolutions_m
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import FilterBank, check_frame_size, check_setting
@@ -181,12 +181,12 @@ def bank_findings(bank: FilterBank) -> list[Finding]:
 
 def _not_covered(bank: FilterBank) -> list[str]:
     stack = bank.stack
-    reason = unsupported_reason(bank, bank.stride_px)
+    reason, unchecked = unsupported_reason(bank, bank.stride_px), unchecked_reason(stack)
     return [
         text
         for text, applies in (
             (f"no refinement: {reason}", bool(reason)),
-            ("no check of fit", not can_be_checked(stack)),
+            (f"frames are not checked: {unchecked}", bool(unchecked)),
             ("confidence is that of masks", not (stack.in_pixels or bank.reliability)),
             ("levels in place of metres", stack.depths_m is None),
             ("sizes are not those of a mask: no views, no other focus", stack.nominal),

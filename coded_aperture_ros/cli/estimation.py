@@ -8,7 +8,7 @@ from coded_aperture_ros.cli.estimation_arguments import EstimationArguments
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.deblur import DeblurConfig
-from coded_aperture_ros.depth import DepthConfig, refinement_note, side_warning
+from coded_aperture_ros.depth import DepthConfig, model_notes, refinement_note
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.likelihood import LikelihoodModel
@@ -79,20 +79,21 @@ def make_pipeline(
             progress=lambda vectors: progress(vectors, unit="motion"),
         )
         pipeline = FramePipeline(model, camera, config, deblur)
-    _warn(model, config, warns_of_sides)
+    _check_smoothness(model, config)
+    for note in model_notes(model, config, camera, warns_of_sides):
+        logging.warning(note)
     return pipeline
 
 
-def _warn(model: LikelihoodModel, config: DepthConfig, warns_of_sides: bool) -> None:
-    """Warn of what the model cannot do; a `UsageError` if the smoothness is of no use."""
-    if note := refinement_note(model, config):
-        logging.warning(note)
-    # Not in the table of rules: it depends on the bank whether learned or semiglobal decides.
-    elif config.regularize in ("none", LEARNED) and config.smoothness != DepthConfig.smoothness:
+def _check_smoothness(model: LikelihoodModel, config: DepthConfig) -> None:
+    """Raise a `UsageError` if the smoothness is of no use.
+
+    Not in the table of rules: it depends on the bank whether learned or semiglobal decides.
+    """
+    unused = config.regularize in ("none", LEARNED) and not refinement_note(model, config)
+    if unused and config.smoothness != DepthConfig.smoothness:
         others = "semiglobal, tv or graphcut"
         raise UsageError(f"--smoothness: --regularize {config.regularize} has none, use {others}")
-    if warns_of_sides and (warning := side_warning(model)):
-        logging.warning(warning)
 
 
 def known_motion(args: EstimationArguments, camera: Camera | None) -> ExpectedMotion | None:

@@ -4,7 +4,13 @@ from coded_aperture_ros.depth.config import DepthConfig
 from coded_aperture_ros.depth.decoders.edges import DEPTH_EDGE_PX
 from coded_aperture_ros.depth.decoders.regularize import REGULARIZERS, Regularizer
 from coded_aperture_ros.depth.estimate import DepthEstimate
-from coded_aperture_ros.depth.estimator import DepthEstimator, refinement_note, side_warning
+from coded_aperture_ros.depth.estimator import (
+    DepthEstimator,
+    model_notes,
+    refinement_note,
+    side_warning,
+    unchecked_note,
+)
 from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
@@ -38,10 +44,12 @@ __all__ = [
     "depths_are_measured",
     "estimate_video",
     "map_size",
+    "model_notes",
     "nearest_obstacle_m",
     "no_depth_reason",
     "points_of_depth",
     "range_complaint",
     "refinement_note",
     "side_warning",
+    "unchecked_note",
 ]

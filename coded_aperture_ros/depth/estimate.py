@@ -39,7 +39,7 @@ class DepthEstimate:
         there are no depths.
     health : Health or None
         How well the frame fits the bank; `confidence` includes it. None where it cannot be
-        checked: see `can_be_checked`.
+        checked: see `unchecked_reason`.
     layers : mapping of str to Layer
         Other results of the stages, by name, such as ``free_space`` or ``motion``.
     stamp_ns : int or None

@@ -18,9 +18,10 @@ from coded_aperture_ros.depth.decoders.regularize import Regularizer, regularize
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.quality import FitCheck, can_be_checked
+from coded_aperture_ros.depth.quality import FitCheck, unchecked_reason
 from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
+from coded_aperture_ros.depth.stages.field_doubt import field_note
 from coded_aperture_ros.frames import Frame, KnownNoise
 from coded_aperture_ros.likelihood import Likelihood, LikelihoodModel, torch_device
 from coded_aperture_ros.likelihood.bank import FilterBank
@@ -235,7 +236,7 @@ class DepthEstimator:
     def _fit_check(self) -> FitCheck | None:
         """Check of the bank; None for models that cannot be checked, or if it is not asked for."""
         config, model = self.config, self.model
-        if not (isinstance(model, FilterBank) and can_be_checked(model.stack) and config.check_fit):
+        if not config.check_fit or not isinstance(model, FilterBank) or unchecked_note(model):
             return None
         return FitCheck(
             model.stack,
@@ -249,6 +250,36 @@ class DepthEstimator:
         assert isinstance(self.source_model, FilterBank)  # it was trained for no other
         small = small_bank(self.source_model).for_view(self.camera)
         return small.plan(shape, CELL_PX, self.config.backend, threads, periodic=False)
+
+
+def model_notes(
+    model: LikelihoodModel, config: DepthConfig, camera: Camera | None, sides: bool = True
+) -> list[str]:
+    """What users should know of a model before they use it, one line each.
+
+    Parameters
+    ----------
+    model : LikelihoodModel
+    config : DepthConfig
+    camera : Camera or None
+    sides : bool
+        Whether it counts that the mask does not distinguish the sides of the focal plane.
+    """
+    notes = [
+        refinement_note(model, config),
+        unchecked_note(model) if config.check_fit else None,
+        side_warning(model) if sides else None,
+        camera and field_note(camera),
+    ]
+    return [note for note in notes if note]
+
+
+def unchecked_note(model: LikelihoodModel) -> str | None:
+    """Note for users if frames cannot be checked against a model, and why; else None."""
+    reason = "the method has no filter bank"
+    if isinstance(model, FilterBank):
+        reason = unchecked_reason(model.stack)
+    return f"frames are not checked for fit: {reason}" if reason else None
 
 
 def refinement_note(model: LikelihoodModel, config: DepthConfig) -> str | None:

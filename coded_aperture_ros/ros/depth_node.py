@@ -24,14 +24,13 @@ from coded_aperture_ros.depth import (
     DepthEstimate,
     layer_specs,
     map_size,
+    model_notes,
     nearest_obstacle_m,
     points_of_depth,
-    refinement_note,
-    side_warning,
+    unchecked_note,
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.stages.field_doubt import field_note
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.frames.frame import LateFrameError
@@ -54,6 +53,7 @@ from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.camera_model import CameraModel
 from coded_aperture_ros.ros.diagnostics import Complaint
+from coded_aperture_ros.ros.drift import NodeDrift
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
 from coded_aperture_ros.ros.frame_node import FrameNode
 from coded_aperture_ros.ros.gyro import Gyro, GyroConfig
@@ -145,6 +145,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if warning := slow_blas_warning():
             self.get_logger().warning(warning)
         self._gyro = Gyro()
+        self._drift = NodeDrift()
         self._motion_note = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
@@ -173,11 +174,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         )
         self._model: FrameModel[LikelihoodModel] = FrameModel(self, configs, make)
         model = self._model.model
-        if note := refinement_note(model, configs[DepthConfig]):
-            self.get_logger().info(note)
-        if warning := side_warning(model):
-            self.get_logger().warning(warning)
-        if self._model.camera is not None and (note := field_note(self._model.camera)):
+        self._drift.use(model)
+        for note in model_notes(model, configs[DepthConfig], self._model.camera):
             self.get_logger().warning(note)
         self._pipeline = FramePipeline(model, self._model.camera, configs[DepthConfig], deblur=None)
 
@@ -201,6 +199,11 @@ class DepthNode(FrameNode[tuple[Image, float]]):
     def identity(self) -> dict[str, str]:
         """Keys and values of /diagnostics: camera file, bank, and why the motion is not known."""
         identity = self._model.identity()
+        identity["fit_check"] = "on"
+        if not self.configs[DepthConfig].check_fit:
+            identity["fit_check"] = "off"
+        elif note := unchecked_note(self._model.model):
+            identity["fit_check"] = note
         if self._finds_motion:
             identity["motion"] = self._motion_note and f"all motions tried: {self._motion_note}"
         return identity
@@ -228,7 +231,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self.send(_INFO, info)
         self._send_points(frame, estimate, depth_m, info)
         figures, misfit = self._figures(estimate, estimate.depth_m, depth_m)
-        self.finish_frame(header, estimate.seconds, figures, misfit)
+        averages, drift = self._drift.see(frame, estimate, self.configs[DepthConfig])
+        self.finish_frame(header, estimate.seconds, figures | averages, misfit or drift)
 
     def _decode_frame(self, image: Image, compression_loss: float, driver: CameraModel) -> Frame:
         """Frame of a message, with its view and expected motion; fits the model to the view."""
@@ -346,6 +350,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         threads = thread_count(depth.threads)
         if cv2.getNumThreads() != threads:
             cv2.setNumThreads(threads)
+        self._drift.use(self._model.model)
         pipeline.reconfigure(model=self._model.model, camera=self._model.whole, depth=depth)
         if self._restarting.is_set():
             self._restarting.clear()

@@ -5,6 +5,6 @@ from coded_aperture_ros.depth.quality.health import (
     CAUSES,
     FitCheck,
     Health,
-    can_be_checked,
+    unchecked_reason,
 )
 from coded_aperture_ros.depth.quality.reason import no_depth_reason

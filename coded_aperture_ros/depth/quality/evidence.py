@@ -102,7 +102,7 @@ class HypothesisTest:
         cells : int
             Most windows along each side of the frame.
         """
-        tops, lefts = _chosen_windows(grey, unusable, cells)
+        tops, lefts = chosen_windows(grey, unusable, cells)
         if len(tops) < _FEWEST_WINDOWS:
             return None
         cuts = [
@@ -168,7 +168,7 @@ class HypothesisTest:
         return found
 
 
-def _chosen_windows(
+def chosen_windows(
     grey: FloatArray, unusable: BoolArray | None, cells: int
 ) -> tuple[IndexArray, IndexArray]:
     """First row and column of the most textured window of every cell [n]."""

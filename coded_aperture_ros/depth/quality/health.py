@@ -11,7 +11,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
-from coded_aperture_ros.depth.quality.spectra import quantiles
+from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px, quantiles
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
 from coded_aperture_ros.optics import PsfStack
 
@@ -55,6 +55,7 @@ _CHANCE_CONFIDENCE = 0.2
 # Largest blur size that the network was trained for, px, and limits of its features before and
 # after they are standardised.
 LARGEST_PX = 22.5
+_FEWEST_LEVELS = 3
 LIMIT = 20.0
 SCALED_LIMIT = 5.0
 _LAYERS = 3
@@ -154,11 +155,14 @@ def _outputs_of(features: FloatArray) -> FloatArray:
     return np.asarray(values[..., 0].mean(axis=0))
 
 
-def can_be_checked(stack: PsfStack) -> bool:
-    """Whether the network was trained for a bank's levels."""
-    if not stack.in_pixels or len(stack) < 3:
-        return False
-    return float(np.abs(stack.blur_sizes_px).max()) <= LARGEST_PX
+def unchecked_reason(stack: PsfStack) -> str:
+    """Why frames cannot be checked against a bank's levels; empty if they can."""
+    if len(stack) < _FEWEST_LEVELS:
+        return f"its {len(stack)} levels are fewer than {_FEWEST_LEVELS}"
+    largest_px = float(np.abs(equivalent_sizes_px(stack)).max())
+    if largest_px > LARGEST_PX:
+        return f"its blur of {largest_px:.3g} px is above {LARGEST_PX:g} px"
+    return ""
 
 
 class FitCheck:
@@ -167,7 +171,7 @@ class FitCheck:
     Parameters
     ----------
     stack : PsfStack
-        PSFs of the bank, for which `can_be_checked`.
+        PSFs of the bank, with no `unchecked_reason`.
     remembers : bool
         Whether frames are those of a video, in order: then only some are checked, and their
         results averaged.
@@ -297,7 +301,7 @@ class FitCheck:
             )
         )
         # Blur size by one window alone, and by the map, which its neighbours have influenced.
-        sizes_px, window_px = self._stack.blur_sizes_px, windows.size_px
+        sizes_px, window_px = equivalent_sizes_px(self._stack), windows.size_px
         if self._guarded:
             window_px = np.clip(window_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
         map_px = np.interp(level[tuple(map_pixels)], np.arange(len(sizes_px)), sizes_px)

@@ -188,12 +188,17 @@ class PsfLevels:
         return PsfLevels(sizes_px[order], [psfs[level] for level in order])
 
 
+def equivalent_sizes_px(stack: PsfStack) -> DoubleArray:
+    """Blur sizes of a stack [L], px; the `widths_px` of its PSFs where it has none."""
+    return stack.blur_sizes_px if stack.in_pixels else widths_px(stack.psfs)
+
+
 def bank_levels(stack: PsfStack) -> PsfLevels:
     """Some levels of a bank, of one side of the focal plane.
 
     Power spectra do not distinguish the sides.
     """
-    sizes_px = stack.blur_sizes_px if stack.in_pixels else widths_px(stack.psfs)
+    sizes_px = equivalent_sizes_px(stack)
     longer = np.sign(sizes_px[np.abs(sizes_px).argmax()])
     one_side = np.flatnonzero(sizes_px * longer >= 0)
     count = len(one_side)

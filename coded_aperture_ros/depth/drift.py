@@ -1,0 +1,243 @@
+"""What changes over minutes of a camera in service: slow averages, and since when they have moved.
+
+A single frame says little of a mask that is turned by a few degrees, or of a film on the glass, and
+health of one scene is lower than that of another. Minutes are compared here: each is a mean over
+the frames that had texture, one a second at most.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.depth.estimate import DepthEstimate
+from coded_aperture_ros.depth.quality.mask_test import PARTS, TURN_DEG, MaskLook, MaskTest
+from coded_aperture_ros.frames import Frame, grey_image
+from coded_aperture_ros.frames.noise import NOISE_FLOOR
+from coded_aperture_ros.optics import PsfStack
+
+# Time constants of the averages, s, by the ends of their names.
+_AVERAGES_S = {"10s": 10.0, "10min": 600.0}
+_INTERVAL_S = 1.0
+_MINUTE_S = 60.0
+# Fewest frames with texture of a minute that counts, and minutes in a row that make a drift.
+_FEWEST_LOOKS = 15
+_MINUTES = 3
+# Minutes at first whose mean the later ones are compared with.
+_REFERENCE_MINUTES = 3
+# Margin on every side that is left out where PSFs change over the image, as a share of the frame.
+_MARGIN_SHARE = 0.3
+# Least angle of a turned mask, degrees, and least gain of a change of it, hundredths of the
+# negative log-likelihood.
+_LEAST_TURN_DEG = 3.0
+_LARGEST_TURN_DEG = 15.0
+_LEAST_BEND = 0.05
+_LEAST_GAIN = 0.2
+# Least changes of the residual's logarithm and of health.
+_LEAST_RESIDUAL = 0.15
+_LEAST_HEALTH = 0.2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Minute:
+    """Means over the frames of a minute.
+
+    Attributes
+    ----------
+    began_s : float
+    health : float
+        NaN if no frame was checked.
+    look : MaskLook
+    """
+
+    began_s: float
+    health: float
+    look: MaskLook
+
+
+@dataclasses.dataclass(frozen=True)
+class Drift:
+    """A change that has lasted.
+
+    Attributes
+    ----------
+    text : str
+        What has changed, and what to do.
+    since_s : float
+        Time of the first minute of it.
+    """
+
+    text: str
+    since_s: float
+
+
+class DriftWatch:
+    """Averages over seconds and minutes of how frames fit, and what has changed since the start.
+
+    Parameters
+    ----------
+    stack : PsfStack
+        PSFs of the bank that frames are compared with.
+    middle_only : bool
+        Whether they are those of the middle of the image.
+
+    Examples
+    --------
+    >>> from coded_aperture_ros.optics import Mask, render_psf_stack
+    >>> watch = DriftWatch(render_psf_stack(Mask.named("levin"), [4.0, 6.0, 8.0]))
+    >>> watch.due(0.0), watch.figures(), watch.drift
+    (True, {}, None)
+    """
+
+    def __init__(self, stack: PsfStack, middle_only: bool = False) -> None:
+        self.stack = stack
+        self._middle_only = middle_only
+        self._test = MaskTest(stack)
+        self._averages = {name: _Average(span_s) for name, span_s in _AVERAGES_S.items()}
+        self._looks: list[tuple[float, float, MaskLook]] = []  # of this minute
+        self._reference: list[Minute] = []
+        self._since_s: dict[str, list[float]] = {}
+        self._seen_s = -math.inf
+        self.drift: Drift | None = None
+
+    def due(self, now_s: float) -> bool:
+        """Whether the next frame is to be seen."""
+        return now_s - self._seen_s >= _INTERVAL_S
+
+    def see(self, now_s: float, frame: Frame, estimate: DepthEstimate, saturation: float) -> None:
+        """Add a frame and what was estimated of it, at a time by a steady clock, s."""
+        self._seen_s = now_s
+        grey, unusable = grey_image(frame.light, saturation)
+        if self._middle_only:
+            top, left = (int(_MARGIN_SHARE * length) for length in grey.shape)
+            part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
+            grey, unusable = grey[part], None if unusable is None else unusable[part]
+        noise = max(estimate.noise / math.sqrt(frame.channels), NOISE_FLOOR)
+        look = self._test.look(grey, noise, unusable)
+        if look is not None:
+            self.add(now_s, math.nan if estimate.health is None else estimate.health.value, look)
+
+    def add(self, now_s: float, health: float, look: MaskLook) -> None:
+        """Add what was seen of a frame; a health of NaN is unknown."""
+        if self._looks and now_s - self._looks[0][0] >= _MINUTE_S:
+            self._end_minute()
+        self._looks.append((now_s, health, look))
+        for average in self._averages.values():
+            average.add(now_s, np.array([health, look.residual, *look.gains]))
+
+    def figures(self) -> dict[str, float]:
+        """Averages for /diagnostics, by name; empty before the first frame."""
+        found: dict[str, float] = {}
+        for name, average in self._averages.items():
+            if len(average.value):
+                health, residual, *gains = average.value
+                found[f"health_{name}"] = float(health)
+                found[f"residual_{name}"] = float(np.exp(residual))
+                found[f"mask_turned_{name}_deg"] = turn_deg(np.array(gains))
+        return {name: value for name, value in found.items() if math.isfinite(value)}
+
+    def _end_minute(self) -> None:
+        """Close this minute, and compare it with the first ones."""
+        looks, self._looks = self._looks, []
+        if len(looks) < _FEWEST_LOOKS:
+            return
+        healths = np.array([health for _, health, _ in looks])
+        known = healths[np.isfinite(healths)]
+        minute = Minute(
+            began_s=looks[0][0],
+            health=float(known.mean()) if len(known) else math.nan,
+            look=MaskLook(
+                np.mean([look.gains for _, _, look in looks], axis=0),
+                float(np.mean([look.residual for _, _, look in looks])),
+            ),
+        )
+        self._note(self._changes(minute), minute.began_s)
+        if len(self._reference) < _REFERENCE_MINUTES:
+            self._reference.append(minute)
+
+    def _changes(self, minute: Minute) -> dict[str, str]:
+        """What a minute shows, by a short name."""
+        found = {}
+        angle = turn_deg(minute.look.gains)
+        if abs(angle) >= _LEAST_TURN_DEG:
+            found["turned"] = (
+                f"the mask looks turned by {abs(angle):.0f} degrees: put it in as the camera file "
+                "has it"
+            )
+        covers = minute.look.gains[2:]
+        if covers.max() >= _LEAST_GAIN and "turned" not in found:
+            row, column = divmod(int(covers.argmax()), PARTS)
+            found["covered"] = (
+                f"the mask looks covered in row {row + 1}, column {column + 1} of {PARTS}x{PARTS}: "
+                "clean it"
+            )
+        if len(self._reference) == _REFERENCE_MINUTES:
+            found |= self._compared(minute)
+        return found
+
+    def _compared(self, minute: Minute) -> dict[str, str]:
+        """What has become worse since the first minutes, by a short name."""
+        found = {}
+        residual = float(np.mean([first.look.residual for first in self._reference]))
+        health = float(np.mean([first.health for first in self._reference]))
+        if minute.look.residual > residual + _LEAST_RESIDUAL:
+            more = 100 * math.expm1(minute.look.residual - residual)
+            found["residual"] = (
+                f"frames are explained worse than at first, {more:.0f} % more is left: look for "
+                "dirt, and for what has moved"
+            )
+        if minute.health < health - _LEAST_HEALTH:
+            found["health"] = (
+                f"health is {minute.health:.2f} in place of {health:.2f} at first: look for dirt, "
+                "and for what has moved"
+            )
+        return found
+
+    def _note(self, changes: dict[str, str], began_s: float) -> None:
+        """Count minutes in a row with the same change; the longest of those that last is told."""
+        self._since_s = {name: [*self._since_s.get(name, []), began_s] for name in changes}
+        lasting = {name: all_s for name, all_s in self._since_s.items() if len(all_s) >= _MINUTES}
+        self.drift = None
+        if lasting:
+            name = max(lasting, key=lambda name: len(lasting[name]))
+            self.drift = Drift(changes[name], lasting[name][0])
+
+
+def turn_deg(gains: DoubleArray) -> float:
+    """Angle of a mask by the gains of a turn in both directions, degrees; 0 if they show none.
+
+    It is where the parabola through the gains of both angles, and 0 for none, is highest.
+
+    Parameters
+    ----------
+    gains : ndarray, float64 [changes]
+        See `MaskLook`.
+    """
+    less, more = float(gains[0]), float(gains[1])
+    bend = less + more
+    if bend > -_LEAST_BEND:  # both are about as good: a ring, or another fault
+        return 0.0
+    angle = TURN_DEG * (less - more) / (2 * bend)
+    return float(np.clip(angle, -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG))
+
+
+class _Average:
+    """Mean over about so many seconds; at first over all that there is."""
+
+    def __init__(self, span_s: float) -> None:
+        self._span_s = span_s
+        self._count = 0
+        self._last_s = 0.0
+        self.value: DoubleArray = np.zeros(0)
+
+    def add(self, value: DoubleArray, now_s: float) -> None:
+        """Add a value; NaN leaves what is known of its place as it was."""
+        self._count += 1
+        if not len(self.value):
+            self.value = value
+        weight = max(-math.expm1((self._last_s - now_s) / self._span_s), 1 / self._count)
+        change = np.where(np.isfinite(value), value - self.value, 0.0)
+        started = np.where(np.isfinite(self.value), self.value, value)
+        self.value = started + weight * np.nan_to_num(change)
+        self._last_s = now_s
