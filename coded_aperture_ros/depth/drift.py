@@ -12,7 +12,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.depth.estimate import DepthEstimate
-from coded_aperture_ros.depth.quality.mask_test import PARTS, TURN_DEG, MaskLook, MaskTest
+from coded_aperture_ros.depth.quality.mask_test import PARTS, TURNS_DEG, MaskLook, MaskTest
 from coded_aperture_ros.frames import Frame, grey_image
 from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.optics import PsfStack
@@ -31,8 +31,6 @@ _MARGIN_SHARE = 0.3
 # Least angle of a turned mask, degrees, and least gain of a change of it, hundredths of the
 # negative log-likelihood.
 _LEAST_TURN_DEG = 3.0
-_LARGEST_TURN_DEG = 15.0
-_LEAST_BEND = 0.05
 _LEAST_GAIN = 0.2
 # Least changes of the residual's logarithm and of health.
 _LEAST_RESIDUAL = 0.15
@@ -165,7 +163,7 @@ class DriftWatch:
                 f"the mask looks turned by {abs(angle):.0f} degrees: put it in as the camera file "
                 "has it"
             )
-        covers = minute.look.gains[2:]
+        covers = minute.look.gains[len(TURNS_DEG) :]
         if covers.max() >= _LEAST_GAIN and "turned" not in found:
             row, column = divmod(int(covers.argmax()), PARTS)
             found["covered"] = (
@@ -205,21 +203,25 @@ class DriftWatch:
 
 
 def turn_deg(gains: DoubleArray) -> float:
-    """Angle of a mask by the gains of a turn in both directions, degrees; 0 if they show none.
+    """Angle at which a turned mask explains frames best, degrees; 0 is the mask as it is.
 
-    It is where the parabola through the gains of both angles, and 0 for none, is highest.
+    Between the angles that were tried it is where the parabola through the best one and its
+    neighbours is highest.
 
     Parameters
     ----------
     gains : ndarray, float64 [changes]
         See `MaskLook`.
     """
-    less, more = float(gains[0]), float(gains[1])
-    bend = less + more
-    if bend > -_LEAST_BEND:  # both are about as good: a ring, or another fault
-        return 0.0
-    angle = TURN_DEG * (less - more) / (2 * bend)
-    return float(np.clip(angle, -_LARGEST_TURN_DEG, _LARGEST_TURN_DEG))
+    middle = len(TURNS_DEG) // 2
+    angles = np.insert(TURNS_DEG, middle, 0.0)
+    values = np.insert(gains[: len(TURNS_DEG)], middle, 0.0)
+    best = int(values.argmax())
+    if not 0 < best < len(angles) - 1:
+        return float(angles[best])
+    less, most, more = values[best - 1 : best + 2]
+    step = (angles[best + 1] - angles[best - 1]) / 2
+    return float(angles[best] + step * (more - less) / (2 * (2 * most - less - more) + 1e-9))
 
 
 class _Average:

@@ -16,7 +16,8 @@ LEVELS = 30
 NEAR_EDGE_PX = 16
 
 
-def test_the_psf_of_a_real_photograph_is_recognised(data_dir):
+@pytest.mark.parametrize("noise", [0.0, 0.0005, 0.001, 0.002], ids=lambda noise: f"{noise:g}")
+def test_the_psf_of_a_real_photograph_is_recognised(data_dir, noise):
     """Of a flat page nine measured PSFs compete at every position; one of them is its own."""
     folder = data_dir / "real_photo"
     with np.load(folder / "levin_letters.npz") as photograph:
@@ -25,7 +26,7 @@ def test_the_psf_of_a_real_photograph_is_recognised(data_dir):
         psfs = np.concatenate([measured["psfs"], own[None]])
     psfs = psfs / psfs.sum(axis=(1, 2), keepdims=True)
     stack = PsfStack(np.arange(float(len(psfs))), psfs.astype(np.float32), in_pixels=False)
-    config = DepthConfig(confidence_threshold=0.0, stride_px=4)
+    config = DepthConfig(confidence_threshold=0.0, stride_px=4, noise=noise)
     estimate = DepthEstimator(learn_bank(stack), config).estimate(image.astype(np.float32))
     assert (np.rint(estimate.level) == len(psfs) - 1).mean() >= 0.99
 

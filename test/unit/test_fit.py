@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
-from coded_aperture_ros.depth.quality import FitCheck, can_be_checked, evidence
+from coded_aperture_ros.depth.quality import FitCheck, evidence, unchecked_reason
 from coded_aperture_ros.depth.quality.evidence import HypothesisTest
 from coded_aperture_ros.depth.quality.spectra import (
     NAMES,
@@ -16,6 +16,7 @@ from coded_aperture_ros.depth.quality.spectra import (
     PsfHypotheses,
     alternatives,
     bank_levels,
+    equivalent_sizes_px,
     frequencies,
     levels_beyond,
     negative_log_likelihood,
@@ -301,8 +302,20 @@ def test_health_in_words():
 
 
 def test_only_levels_that_the_network_was_trained_for_are_checked(stack):
-    assert can_be_checked(stack)
+    assert not unchecked_reason(stack)
     large = dataclasses.replace(stack, blur_sizes_px=2 * stack.blur_sizes_px)
-    assert not can_be_checked(large)
-    assert not can_be_checked(dataclasses.replace(stack, in_pixels=False))
-    assert not can_be_checked(PsfStack(stack.blur_sizes_px[:2], stack.psfs[:2]))
+    assert "blur of 35.9 px is above 22.5 px" in unchecked_reason(large)
+    few = PsfStack(stack.blur_sizes_px[:2], stack.psfs[:2])
+    assert unchecked_reason(few) == "its 2 levels are fewer than 3"
+
+
+def test_psfs_without_sizes_are_checked_by_their_widths(stack, scene, levin):
+    unknown = dataclasses.replace(stack, blur_sizes_px=np.arange(len(stack)), in_pixels=False)
+    assert not unchecked_reason(unknown)
+    assert equivalent_sizes_px(unknown) == pytest.approx(stack.blur_sizes_px, rel=0.2)
+    bank = learn_bank(unknown, LearnConfig(window_px=48))
+    fits = health_of(bank, recorded(scene.coded())).health
+    other = health_of(bank, recorded(scene.coded(Mask.named("zhou")))).health
+    assert fits.fits and not other.fits
+    wide = dataclasses.replace(unknown, psfs=np.ones((len(stack), 61, 61), np.float32) / 61**2)
+    assert "above 22.5 px" in unchecked_reason(wide)

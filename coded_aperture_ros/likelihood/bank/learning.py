@@ -163,6 +163,8 @@ def learn_bank(
     (3, 48, (1200, 96))
     """
     prior = prior or NaturalImagePrior()
+    if stack.nominal or not stack.in_pixels:  # nobody has rendered these
+        prior = prior.for_measured_psfs()
     check_level_count(len(stack))
     for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
         steps = np.diff(values if values is not None else stack.blur_sizes_px)
