@@ -243,6 +243,7 @@ class DepthEstimator:
             remembers=config.temporal_frames > 0,
             guarded=model.guard_levels > 0,
             middle_only=model.field is not None,
+            own_fit=model.own_fit,
         )
 
     def _plan_small_patches(self, shape: Shape, threads: int) -> Likelihood:

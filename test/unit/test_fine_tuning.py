@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cli_scene import call
 
-from coded_aperture_ros.calibration.psf import nominal
+from coded_aperture_ros.calibration.psf import nominal, simulated
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import network as package
@@ -109,7 +109,7 @@ def small(monkeypatch):
     pytest.importorskip("torch", reason="training needs PyTorch")
     pytest.importorskip("onnx", reason="torch writes networks by it")
     pytest.importorskip("numba", reason="random scenes need numba")
-    monkeypatch.setattr(nominal, "_SCENE_PX", 96)
+    monkeypatch.setattr(simulated, "_SCENE_PX", 96)
     monkeypatch.setattr(nominal, "SCENES", 1)
     monkeypatch.setattr(part("tune"), "COMPARED_SCENES", range(1000, 1001))
     monkeypatch.setattr(part("simulated"), "processors", lambda: 1)

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from coded_aperture_ros.calibration.psf import nominal
-from coded_aperture_ros.calibration.psf.nominal import coded_frame, learn_nominal_bank
+from coded_aperture_ros.calibration.psf import nominal, own_fit, simulated
+from coded_aperture_ros.calibration.psf.nominal import learn_nominal_bank
+from coded_aperture_ros.calibration.psf.simulated import coded_frame
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.levels import check_camera
@@ -206,6 +207,41 @@ def test_colour_frames_go_through_all_stages(bank, options):
     estimator.close()
 
 
+@pytest.fixture
+def few_scenes(monkeypatch):
+    """Learn from few and small scenes."""
+    monkeypatch.setattr(simulated, "_SCENE_PX", 128)
+    monkeypatch.setattr(nominal, "SCENES", 3)
+    monkeypatch.setattr(own_fit, "_SCENES", 10)
+
+
+def test_other_optics_are_told_by_a_bank_of_one_width(few_scenes, tmp_path):
+    stack = masks_of_one_width(16)
+    bank = learn_nominal_bank(stack, LearnConfig(noise=0.002), NaturalImagePrior(), "test")
+    assert len(bank.own_fit) == len(bank.reliability) + 21
+    save_bank(bank, tmp_path / "bank.npz")
+    assert load_bank(tmp_path / "bank.npz").own_fit == pytest.approx(bank.own_fit)
+    estimator = DepthEstimator(bank, DepthConfig())
+    disc = own_fit.other_psfs(bank.stack)["disc"]
+    healths = {"own": [], "disc": []}
+    for seed in range(30, 36):
+        for name, psfs in (("own", None), ("disc", disc)):
+            for frame, _ in simulated.simulated_frames(bank, seed, psfs):
+                healths[name].append(estimator.estimate(frame).health.value)
+    estimator.close()
+    # What is learned from so few scenes is rough.
+    assert np.mean(healths["own"]) > np.mean(healths["disc"]) + 0.2
+
+
+def test_frames_that_do_not_fit_are_of_the_scene(bank):
+    frames = list(own_fit.frames_of_scene(bank, 3))
+    kinds = [kind for kind, _ in frames]
+    assert kinds.count("") == 2 and len(set(kinds)) > 4
+    for _, (light, level) in frames:
+        assert light.shape[:2] == level.shape and light.dtype == np.float32
+        assert light.min() >= 0 and light.max() <= 1.5
+
+
 @pytest.mark.slow
 def test_methods_without_channels_take_the_mean_of_colour_frames(bank):
     model = new_model("motion", bank=bank)
@@ -242,9 +278,9 @@ def test_scenes_have_known_depths_by_their_logarithm():
     behind = np.array([[0.0, 1.0]], np.float32)
     known = dataclasses.replace(levels, depths_m=depths_m)
     for stack, middle in ((levels, [1, 3]), (known, [1, 3])):
-        assert nominal._ranks(stack, 0.25, 0.75, behind).ravel() == pytest.approx(middle)
+        assert simulated._ranks(stack, 0.25, 0.75, behind).ravel() == pytest.approx(middle)
     # Half way in inverse depth from 1 m to 4 m is 1.6 m.
-    half = nominal._ranks(known, 0.25, 0.75, np.array([[0.5]], np.float32)).item()
+    half = simulated._ranks(known, 0.25, 0.75, np.array([[0.5]], np.float32)).item()
     assert known.interpolate_depth(np.array([half]))[0] == pytest.approx(1.6)
 
 
@@ -267,12 +303,13 @@ def test_the_confidence_is_what_was_right_on_other_scenes(channels, monkeypatch)
     if channels:
         turned = np.stack([stack.psfs, stack.psfs[:, ::-1], stack.psfs[:, :, ::-1]])
         stack = dataclasses.replace(stack, channel_psfs=turned)
+    monkeypatch.setattr(nominal, "measured_fit", lambda *_: ())
     bank = learn_nominal_bank(stack, LearnConfig(), NaturalImagePrior(), "test")
-    monkeypatch.setattr(nominal, "_FIRST_SEED", 4_000_000)
+    monkeypatch.setattr(simulated, "_FIRST_SEED", 4_000_000)
     estimator = DepthEstimator(bank, DepthConfig(confidence_threshold=0.0, check_fit=False))
     confidences, right = [], []
     for seed in range(12):
-        for frame, level in nominal.simulated_frames(bank, seed):
+        for frame, level in simulated.simulated_frames(bank, seed):
             estimate = estimator.estimate(frame)
             confidences.append(estimate.confidence)
             right.append(np.abs(estimate.level - level) <= 1)

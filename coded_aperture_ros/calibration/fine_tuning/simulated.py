@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.calibration.fine_tuning.cells import BLUR_STEP, CELLS, padded
 from coded_aperture_ros.calibration.fine_tuning.frames import Frame
-from coded_aperture_ros.calibration.psf.nominal import simulated_frames
+from coded_aperture_ros.calibration.psf.simulated import simulated_frames
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.processes import end_with_program

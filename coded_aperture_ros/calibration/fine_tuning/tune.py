@@ -17,11 +17,8 @@ from coded_aperture_ros.calibration.fine_tuning.network import Refinement
 from coded_aperture_ros.calibration.fine_tuning.onnx_form import fold, renormalise, round_weights
 from coded_aperture_ros.calibration.fine_tuning.simulated import claim, made_frames
 from coded_aperture_ros.calibration.fine_tuning.weights import network_arrays, network_of_arrays
-from coded_aperture_ros.calibration.psf.nominal import (
-    is_right,
-    measured_reliability,
-    simulated_frames,
-)
+from coded_aperture_ros.calibration.psf.nominal import measured_reliability
+from coded_aperture_ros.calibration.psf.simulated import is_right, simulated_frames
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import Progress

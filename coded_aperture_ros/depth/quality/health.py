@@ -11,7 +11,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
-from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px, quantiles
+from coded_aperture_ros.depth.quality.spectra import NAMES, equivalent_sizes_px, quantiles
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
 from coded_aperture_ros.optics import PsfStack
 
@@ -179,6 +179,9 @@ class FitCheck:
         Whether the first and last level stand for all blur sizes beyond them.
     middle_only : bool
         Whether the PSFs are those of the middle of the image; then only windows there count.
+    own_fit : tuple of float
+        Coefficients of 1 and the `terms`, for PSFs that the network was not fitted to; see
+        `FilterBank`.
     """
 
     def __init__(
@@ -187,9 +190,10 @@ class FitCheck:
         remembers: bool = False,
         guarded: bool = False,
         middle_only: bool = False,
+        own_fit: tuple[float, ...] = (),
     ) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
-        self._middle_only = middle_only
+        self._middle_only, self._own_fit = middle_only, own_fit
         self.reset()
 
     def reset(self) -> None:
@@ -232,7 +236,7 @@ class FitCheck:
             return self._health
         outputs = None
         for features in self.features(observation, misfit, level, confidence):
-            outputs = _outputs_of(features)
+            outputs = self._outputs_for(features)
             if _health_of(outputs).value > _TRUSTED:
                 break
         if outputs is None:
@@ -245,6 +249,19 @@ class FitCheck:
             health = dataclasses.replace(health, cause=DEPTH_MAP)
         self._outputs, self._health = outputs, health
         return self._health
+
+    @staticmethod
+    def terms(features: FloatArray) -> FloatArray:
+        """Terms of a bank's own check [k]: the networks' outputs, and the alternatives' gains."""
+        return np.concatenate([_outputs_of(features), features[: len(NAMES)]])
+
+    def _outputs_for(self, features: FloatArray) -> FloatArray:
+        """Mean output of the networks; of health, that of the bank's own check if it has one."""
+        if not self._own_fit:
+            return _outputs_of(features)
+        terms = self.terms(features)
+        terms[0] = self._own_fit[0] + terms @ self._own_fit[1:]
+        return terms[: -len(NAMES)]
 
     def features(
         self,

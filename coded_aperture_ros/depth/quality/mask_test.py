@@ -22,8 +22,8 @@ from coded_aperture_ros.depth.quality.spectra import (
 )
 from coded_aperture_ros.optics import PsfStack
 
-# Rotations that are tried, degrees, in order: at 10 px of blur 4 degrees move the corners of a mask
-# by half a pixel.
+# Rotations that are tried, clockwise, degrees, in order: at 10 px of blur 4 degrees move the
+# corners of a mask by half a pixel.
 TURNS_DEG = (-12.0, -8.0, -4.0, 4.0, 8.0, 12.0)
 # The mask is divided into so many parts along each side; each may be covered.
 PARTS = 3
@@ -132,9 +132,9 @@ def _changes(own: PsfLevels) -> dict[str, list[FloatArray]]:
 
 
 def turned(psf: FloatArray, degrees: float) -> FloatArray:
-    """PSF turned about its centre; the sum is 1."""
+    """PSF turned clockwise about its centre; the sum is 1."""
     centre = (len(psf) - 1) / 2
-    turn = cv2.getRotationMatrix2D((centre, centre), degrees, 1)
+    turn = cv2.getRotationMatrix2D((centre, centre), -degrees, 1)
     other = np.maximum(cv2.warpAffine(psf, turn, psf.shape, flags=cv2.INTER_CUBIC), 0)
     return np.asarray(other / max(other.sum(), 1e-9), np.float32)
 

@@ -40,7 +40,9 @@ NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "image_width": (int, 0),
     "image_height": (int, 0),
     "setting_digest": (str, ""),
-    "reliability": (lambda values: tuple(np.asarray(values).tolist()), ()),
+    **dict.fromkeys(
+        ("reliability", "own_fit"), (lambda values: tuple(np.asarray(values).tolist()), ())
+    ),
 }
 PATTERN: dict[str, Callable[[Any], Any]] = {
     "parts": np.asarray,

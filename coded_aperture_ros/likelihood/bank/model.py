@@ -90,6 +90,9 @@ class FilterBank:
     reliability : tuple of float
         Coefficients that make the decoder's confidence right for this bank (`reliability_terms` in
         `depth/stages/reliability.py`); empty for masks, for which it is right as it is.
+    own_fit : tuple of float
+        Coefficients that make the health of frames right for this bank (`FitCheck.terms`); empty
+        for masks, for which it is right as it is.
     channels : tuple of FilterBank
         Banks of the colour channels, where their PSFs differ; else empty.
     guard_levels : int
@@ -134,6 +137,7 @@ class FilterBank:
     image_height: int = 0
     setting_digest: str = ""
     reliability: tuple[float, ...] = ()
+    own_fit: tuple[float, ...] = ()
     channels: tuple["FilterBank", ...] = ()
     guard_levels: int = 0
     pattern: LearnedPattern | None = None
