@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from node_chains import Chain, mono8
 from waiting import stays_false, wait_until
 
+from coded_aperture_ros.depth.drift import Drift, DriftWatch
 from coded_aperture_ros.depth.quality.health import FitCheck, Health
 from coded_aperture_ros.io.messages import array_from_image
 from coded_aperture_ros.ros import diagnostics
@@ -64,6 +65,31 @@ def test_the_plot_of_foxglove_finds_its_figures(ros, chain, coded, checkout):
         assert wait_until(lambda: reports.status.name == name)  # noqa: B023
         assert wait_until(lambda: key in reports.values)  # noqa: B023
         assert float(reports.values[key]) >= 0
+
+
+def test_slow_averages_and_drift_are_told(ros, chain, coded, monkeypatch):
+    reports = Reports(ros)
+    see = DriftWatch.see
+
+    def see_and_find(watch, now_s, *given):
+        see(watch, now_s, *given)
+        watch.drift = Drift("the mask looks turned", now_s - 700)
+
+    monkeypatch.setattr(DriftWatch, "see", see_and_find)
+    chain.result(mono8(coded))
+    assert wait_until(lambda: "the mask looks turned" in reports.status.message)
+    assert reports.status.message.startswith("drifting since ")
+    assert reports.status.level == DiagnosticStatus.WARN
+    averages = {"health_10s", "health_10min", "residual_10s", "mask_turned_10min_deg"}
+    assert averages <= reports.values.keys()
+    assert float(reports.values["drifting_min"]) > 10
+    assert reports.values["fit_check"] == "on"
+
+
+def test_frames_that_are_not_checked_are_told(ros, model, coded):
+    reports = Reports(ros)
+    Chain(ros, {**model, "confidence.check_fit": False}, subscribe=("depth/image",))
+    assert wait_until(lambda: reports.values.get("fit_check") == "off")
 
 
 @pytest.mark.slow

@@ -627,7 +627,7 @@ def test_the_check_is_fitted_and_is_what_the_package_runs(torch, monkeypatch, ru
     weights = dict(np.load(tmp_path / "fit.npz"))
     monkeypatch.setattr(health, "read_shipped", lambda *_: weights)
     health._weights.cache_clear()
-    found = np.stack([health._outputs_of(features) for features in rows["features"]])
+    found = np.stack([health.outputs_of(features) for features in rows["features"]])
     health._weights.cache_clear()
     state = torch.load(tmp_path / "state" / "check.pt", weights_only=True)
     members = check.Members(12).eval()

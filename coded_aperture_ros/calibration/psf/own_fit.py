@@ -21,7 +21,7 @@ from coded_aperture_ros.calibration.psf.simulated import (
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.quality import FitCheck
+from coded_aperture_ros.depth.quality import FitCheck, fit_terms
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
@@ -53,7 +53,7 @@ _Frame = tuple[FloatArray, FloatArray]  # light, and the true level of each pixe
 
 
 def measured_fit(bank: FilterBank, progress: Progress = iter) -> tuple[float, ...]:
-    """Coefficients of the terms of `FitCheck.terms` that make a bank's health.
+    """Coefficients of 1 and the `fit_terms` that make a bank's health.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class _Looks:
             return None
         sparse = np.s_[::_SPARSE, ::_SPARSE]
         right = is_right(self.bank.stack, work.level[sparse], level[sparse])
-        return FitCheck.terms(looks[-1]).astype(np.float64), float(right.mean())  # most windows
+        return fit_terms(looks[-1]).astype(np.float64), float(right.mean())  # most windows
 
     def close(self) -> None:
         """End the estimator's threads."""

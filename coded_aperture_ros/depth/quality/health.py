@@ -1,7 +1,7 @@
 """Out-of-distribution check: how well a frame fits its bank, and the likeliest cause if not."""
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import cached_property, lru_cache
 from itertools import chain, islice
 
@@ -11,7 +11,7 @@ from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import FloatArray, as_floats
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
-from coded_aperture_ros.depth.quality.spectra import NAMES, equivalent_sizes_px, quantiles
+from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px, quantiles
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
 from coded_aperture_ros.optics import PsfStack
 
@@ -143,7 +143,7 @@ def _weights() -> dict[str, FloatArray]:
     return floats
 
 
-def _outputs_of(features: FloatArray) -> FloatArray:
+def outputs_of(features: FloatArray) -> FloatArray:
     """Mean output of the networks: logits of health, then of the causes."""
     arrays = _weights()
     values = (np.clip(features, -LIMIT, LIMIT) - arrays["mean"]) / arrays["scale"]
@@ -179,9 +179,8 @@ class FitCheck:
         Whether the first and last level stand for all blur sizes beyond them.
     middle_only : bool
         Whether the PSFs are those of the middle of the image; then only windows there count.
-    own_fit : tuple of float
-        Coefficients of 1 and the `terms`, for PSFs that the network was not fitted to; see
-        `FilterBank`.
+    own_fit : OwnFit or None
+        In place of the network's mean output, for PSFs that it was not fitted to.
     """
 
     def __init__(
@@ -190,7 +189,7 @@ class FitCheck:
         remembers: bool = False,
         guarded: bool = False,
         middle_only: bool = False,
-        own_fit: tuple[float, ...] = (),
+        own_fit: Callable[[FloatArray], FloatArray] | None = None,
     ) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
         self._middle_only, self._own_fit = middle_only, own_fit
@@ -236,7 +235,7 @@ class FitCheck:
             return self._health
         outputs = None
         for features in self.features(observation, misfit, level, confidence):
-            outputs = self._outputs_for(features)
+            outputs = (self._own_fit or outputs_of)(features)
             if _health_of(outputs).value > _TRUSTED:
                 break
         if outputs is None:
@@ -249,19 +248,6 @@ class FitCheck:
             health = dataclasses.replace(health, cause=DEPTH_MAP)
         self._outputs, self._health = outputs, health
         return self._health
-
-    @staticmethod
-    def terms(features: FloatArray) -> FloatArray:
-        """Terms of a bank's own check [k]: the networks' outputs, and the alternatives' gains."""
-        return np.concatenate([_outputs_of(features), features[: len(NAMES)]])
-
-    def _outputs_for(self, features: FloatArray) -> FloatArray:
-        """Mean output of the networks; of health, that of the bank's own check if it has one."""
-        if not self._own_fit:
-            return _outputs_of(features)
-        terms = self.terms(features)
-        terms[0] = self._own_fit[0] + terms @ self._own_fit[1:]
-        return terms[: -len(NAMES)]
 
     def features(
         self,

@@ -11,6 +11,7 @@ from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.likelihood.bank.field import FieldFilters, FieldPsfs
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.hypotheses import RATIOS, FilterHypotheses, factor_weights
+from coded_aperture_ros.likelihood.bank.measured import prior_for_measured_psfs
 from coded_aperture_ros.likelihood.bank.model import (
     DEFAULT_STRIDE_PX,
     FilterBank,
@@ -164,7 +165,7 @@ def learn_bank(
     """
     prior = prior or NaturalImagePrior()
     if stack.nominal or not stack.in_pixels:  # nobody has rendered these
-        prior = prior.for_measured_psfs()
+        prior = prior_for_measured_psfs(prior)
     check_level_count(len(stack))
     for name, values in (("blur sizes", stack.blur_sizes_px), ("depths", stack.depths_m)):
         steps = np.diff(values if values is not None else stack.blur_sizes_px)

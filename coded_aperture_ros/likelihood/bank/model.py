@@ -91,7 +91,7 @@ class FilterBank:
         Coefficients that make the decoder's confidence right for this bank (`reliability_terms` in
         `depth/stages/reliability.py`); empty for masks, for which it is right as it is.
     own_fit : tuple of float
-        Coefficients that make the health of frames right for this bank (`FitCheck.terms`); empty
+        Coefficients that make the health of frames right for this bank (`OwnFit`); empty
         for masks, for which it is right as it is.
     channels : tuple of FilterBank
         Banks of the colour channels, where their PSFs differ; else empty.

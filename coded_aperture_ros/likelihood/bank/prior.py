@@ -14,10 +14,6 @@ from coded_aperture_ros.core.errors import InputError
 _PHOTO_SLOPE = 2.4
 _PHOTO_CONTRAST = 0.02
 
-# Error of measured PSFs, and contrasts of print, whose fine texture is that of a larger variance.
-_MEASURED_ERROR = 5e-3
-_PRINT_CONTRASTS = (10.0**-0.5, 1.0)
-
 # Periodic texture, as of cloth, wood and blinds, has one band of frequencies, which no power law
 # describes, and may look like usual texture at another depth. It is compared with usual texture at
 # a few levels: what it explains as well says nothing about depth.
@@ -71,21 +67,6 @@ class NaturalImagePrior:
             raise InputError(f"prior contrasts: expected positive numbers, got {self.contrasts}")
         if not 0 <= self.model_error < 1:
             raise InputError(f"prior model error: expected 0 to 1, got {self.model_error}")
-
-    def for_measured_psfs(self) -> "NaturalImagePrior":
-        """The same textures, for PSFs that were measured, and so have errors of their own.
-
-        With more light for the same noise, errors of the PSFs decide: on a real photograph at 47 dB
-        its own PSF is chosen at 75 to 100 % of the positions with the model error of masks,
-        whatever noise is stated, and at 99.7 % or more with this one.
-        """
-        last = self.contrasts[-1]
-        more = [contrast for contrast in _PRINT_CONTRASTS if contrast > 1.01 * last]
-        return dataclasses.replace(
-            self,
-            model_error=max(self.model_error, _MEASURED_ERROR),
-            contrasts=(*self.contrasts, *more),
-        )
 
     @property
     def spectra(self) -> tuple[Callable[[tuple[int, int]], DoubleArray], ...]:
