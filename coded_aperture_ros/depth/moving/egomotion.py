@@ -1,0 +1,238 @@
+"""Motion of the camera between two frames, by points whose depth is believed.
+
+The depths are those of this lens, and so is the scale of the motion. They are uncertain: what is
+off along a point's epipolar line counts by as much as its depth allows.
+"""
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
+from coded_aperture_ros.depth.moving.belief import Belief
+from coded_aperture_ros.depth.moving.geometry import Pinhole
+
+# Points that are looked for, by OpenCV: how many, their least quality and distance, px.
+_POINTS, _QUALITY, _APART_PX, _CORNER_PX = 300, 0.002, 6, 5
+_FEWEST = 20
+_LEAST_CONFIDENCE, _LEAST_INVERSE = 0.3, 0.02
+# Search for them: window and levels of half the size; and how far the way back may miss them, px.
+_SEARCH_PX, _LEVELS, _BACK_LEVELS, _RETURN_PX = 13, 3, 1, 0.5
+_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
+# Beginning of the motion: distance of points that agree, px, and tries.
+_AGREE_PX, _TRIES = 1.0, 100
+# Standard deviation of a found point, px, and what is added to that of its inverse depth, a share.
+_POINT_PX, _DEPTH_SHARE = 0.1, 0.05
+_ROUNDS, _CONVERGED = 8, 1e-7
+# Normalised errors from which points count less, and those that are no error of these points.
+_ROBUST, _OUTLIER = 3.0, 9.0
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion between two views.
+
+    Attributes
+    ----------
+    matrix : ndarray, float64 [4, 4]
+        Turns points of the earlier view into those of the later one, metres.
+    covariance : ndarray, float64 [6, 6]
+        Of the translation, m, and the rotation, rad, as the later view has them.
+    share : float
+        How many of all landmarks are found and go with it, in [0, 1].
+    """
+
+    matrix: DoubleArray
+    covariance: DoubleArray
+    share: float
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Landmarks:
+    """Points of a frame that can be found again.
+
+    Attributes
+    ----------
+    image : ndarray, uint8 [rows, columns]
+    pixels : ndarray, float32 [n, 2]
+        Column and row.
+    inverse, variance : ndarray, float64 [n]
+        Inverse depth, 1/m, and its variance.
+    """
+
+    image: NDArray[np.uint8]
+    pixels: FloatArray
+    inverse: DoubleArray
+    variance: DoubleArray
+
+    @classmethod
+    def of(cls, image: NDArray[np.uint8], belief: Belief) -> "Landmarks":
+        """Points of an image whose depth is believed; none, if there is no texture."""
+        found = cv2.goodFeaturesToTrack(image, _POINTS, _QUALITY, _APART_PX, blockSize=_CORNER_PX)
+        pixels = np.zeros((0, 2), np.float32) if found is None else found.reshape(-1, 2)
+        columns, rows = np.rint(pixels).astype(int).T
+        inverse = belief.inverse[rows, columns].astype(np.float64)
+        known = belief.confidence[rows, columns] > _LEAST_CONFIDENCE
+        known &= inverse > _LEAST_INVERSE
+        variance = belief.variance[rows, columns] + np.square(_DEPTH_SHARE * inverse)
+        return cls(image, pixels[known], inverse[known], variance[known])
+
+    def moved(self, view: Pinhole, matrix: DoubleArray) -> DoubleArray:
+        """Pixels [n, 2] where the points are after a motion [4, 4]."""
+        points = np.column_stack([view.rays(self.pixels), np.ones(len(self.pixels))])
+        points = points @ matrix[:3, :3].T + self.inverse[:, None] * matrix[:3, 3]
+        return view.pixels(points[:, :2] / np.maximum(points[:, 2:], 1e-3))
+
+    def followed(
+        self, image: NDArray[np.uint8], expected: DoubleArray | None
+    ) -> tuple[DoubleArray, BoolArray]:
+        """Pixels [n, 2] of the points in another image, and which of them were found.
+
+        `expected` is where to begin, [n, 2]; None: where they were.
+        """
+        if not len(self.pixels):
+            return np.zeros((0, 2)), np.zeros(0, np.bool_)
+        begin = self.pixels if expected is None else expected.astype(np.float32)
+        found, there, _ = self._search(self.image, image, self.pixels, begin, _LEVELS)
+        again, back, _ = self._search(image, self.image, found, self.pixels, _BACK_LEVELS)
+        missed = np.abs(again - self.pixels).max(axis=1)
+        ok = (there.ravel() > 0) & (back.ravel() > 0) & (missed < _RETURN_PX)
+        return found.astype(np.float64), ok
+
+    @staticmethod
+    def _search(
+        first: NDArray[np.uint8],
+        second: NDArray[np.uint8],
+        pixels: FloatArray,
+        begin: FloatArray,
+        levels: int,
+    ) -> tuple[FloatArray, NDArray[np.uint8], FloatArray]:
+        return cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload,no-any-return]
+            first,
+            second,
+            np.ascontiguousarray(pixels),
+            np.array(begin, np.float32),
+            winSize=(_SEARCH_PX, _SEARCH_PX),
+            maxLevel=levels,
+            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
+            criteria=_CRITERIA,
+        )
+
+
+def find_motion(
+    landmarks: Landmarks, image: NDArray[np.uint8], view: Pinhole, guess: DoubleArray | None
+) -> Motion | None:
+    """Motion since the frame of the landmarks; None if too few points tell it.
+
+    Parameters
+    ----------
+    landmarks : Landmarks
+    image : ndarray, uint8 [rows, columns]
+        The later frame.
+    view : Pinhole
+        Of both.
+    guess : ndarray, float64 [4, 4], or None
+        From where the search begins.
+    """
+    expected = None if guess is None else landmarks.moved(view, guess)
+    pixels, found = landmarks.followed(image, expected)
+    if found.sum() < _FEWEST:
+        return None
+    seen = dataclasses.replace(
+        landmarks,
+        pixels=landmarks.pixels[found],
+        inverse=landmarks.inverse[found],
+        variance=landmarks.variance[found],
+    )
+    begin = _beginning(seen, pixels[found], view)
+    if begin is None:
+        return None
+    motion = _improved(begin, seen, pixels[found], view)
+    return dataclasses.replace(motion, share=motion.share * float(found.mean()))
+
+
+def disagreement(
+    landmarks: Landmarks, image: NDArray[np.uint8], view: Pinhole, matrix: DoubleArray
+) -> float | None:
+    """Median of normalised errors of the landmarks under a motion [4, 4]; about 1 if it is right.
+
+    None if too few points are found again.
+    """
+    pixels, found = landmarks.followed(image, landmarks.moved(view, matrix))
+    if found.sum() < _FEWEST:
+        return None
+    errors, weights, _ = _errors(landmarks, pixels, view, matrix)
+    normalised = np.einsum("ni,nij,nj->n", errors, weights, errors)[found]
+    return float(np.median(normalised))
+
+
+def _beginning(
+    landmarks: Landmarks, pixels: DoubleArray, view: Pinhole
+) -> DoubleArray | None:
+    """Motion [4, 4] by the points that agree; None if there is none."""
+    depth = 1 / landmarks.inverse
+    points = np.column_stack([view.rays(landmarks.pixels) * depth[:, None], depth])
+    cv2.setRNGSeed(0)  # the same frames give the same motion
+    ok, turn, shift, agree = cv2.solvePnPRansac(
+        points,
+        pixels,
+        view.matrix,
+        np.zeros(0),
+        iterationsCount=_TRIES,
+        reprojectionError=_AGREE_PX,
+        flags=cv2.SOLVEPNP_SQPNP,
+    )
+    if not ok or agree is None or len(agree) < _FEWEST:
+        return None
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    return matrix
+
+
+def _errors(
+    landmarks: Landmarks, pixels: DoubleArray, view: Pinhole, matrix: DoubleArray
+) -> tuple[DoubleArray, DoubleArray, DoubleArray]:
+    """Errors of the points [n, 2], as rays, their weights [n, 2, 2], and slopes [n, 2, 6].
+
+    The weights are inverse covariances: of the pixels, and of the depths along epipolar lines. The
+    slopes are by translation and rotation.
+    """
+    inverse = landmarks.inverse[:, None]
+    rays = np.column_stack([view.rays(landmarks.pixels), np.ones(len(inverse))])
+    x, y, z = points = (rays @ matrix[:3, :3].T + inverse * matrix[:3, 3]).T
+    z = np.maximum(z, 1e-3)
+    zero = np.zeros_like(z)
+    by_point = np.stack([[1 / z, zero, -x / z**2], [zero, 1 / z, -y / z**2]]).transpose(2, 0, 1)
+    along = by_point @ matrix[:3, 3]
+    finest = np.square(_POINT_PX / np.array(view.focal_px))
+    covariance = np.diag(finest) + (
+        landmarks.variance[:, None, None] * along[:, :, None] * along[:, None, :]
+    )
+    turned = np.stack([[zero, points[2], -y], [-points[2], zero, x], [y, -x, zero]])
+    by_motion = np.concatenate(
+        [by_point * inverse[:, None], by_point @ turned.transpose(2, 0, 1)], axis=2
+    )
+    errors = view.rays(pixels) - np.column_stack([x / z, y / z])
+    return errors, np.linalg.inv(covariance), by_motion
+
+
+def _improved(
+    matrix: DoubleArray, landmarks: Landmarks, pixels: DoubleArray, view: Pinhole
+) -> Motion:
+    """Likeliest motion near a first one; outliers count less (Cauchy's weights)."""
+    for _ in range(_ROUNDS):
+        errors, weights, slopes = _errors(landmarks, pixels, view, matrix)
+        normalised = np.einsum("ni,nij,nj->n", errors, weights, errors)
+        weights = weights / (1 + normalised / _ROBUST**2)[:, None, None]
+        information = np.einsum("nia,nij,njb->ab", slopes, weights, slopes)
+        pull = np.einsum("nia,nij,nj->a", slopes, weights, errors)
+        change = np.linalg.lstsq(information, pull, rcond=1e-12)[0]
+        turn = cv2.Rodrigues(change[3:])[0]
+        matrix = matrix.copy()
+        matrix[:3, 3] = turn @ matrix[:3, 3] + change[:3]
+        matrix[:3, :3] = turn @ matrix[:3, :3]
+        if np.abs(change).max() < _CONVERGED:
+            break
+    return Motion(matrix, np.linalg.pinv(information), float((normalised < _OUTLIER).mean()))

@@ -1,0 +1,194 @@
+"""State of a video of a moving camera."""
+
+import dataclasses
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.depth.moving.belief import Belief, carried, fused
+from coded_aperture_ros.depth.moving.egomotion import (
+    Landmarks,
+    Motion,
+    disagreement,
+    find_motion,
+)
+from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
+from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
+
+# How much two frames of a moving camera tell that agree: their errors have much in common. A camera
+# at rest has the same errors again; frames tell something new when half a window has gone by.
+_AGREEMENT, _NEW_PX = 0.9, 4.0
+_PARALLAX_AGREEMENT = 0.8
+# Past frames that are kept, and the parallax that is best to compare with, px of the map.
+_KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
+# Landmarks are looked for anew when fewer of them than this share go with the motion.
+_SHARE_LEFT = 0.75
+# A pose is wrong if landmarks are so much farther off than by the motion that they show
+# themselves, normalised.
+_WRONG = 12.0
+_SMOOTHING_PX = 0.7
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Step:
+    """What a frame and those before it tell together.
+
+    Attributes
+    ----------
+    belief : Belief
+    pose : ndarray, float64 [4, 4]
+        Of the camera, as seen from the first frame since the memory began.
+    motion : Motion or None
+        Since the frame before, as it was found in the frames; None if a pose gave it or nothing.
+    begun : bool
+        Whether the memory began with this frame, as nothing tells the motion.
+    refused : bool
+        Whether a pose was given that the frames contradict.
+    """
+
+    belief: Belief
+    pose: DoubleArray
+    motion: Motion | None = None
+    begun: bool = False
+    refused: bool = False
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Last:
+    """The last frame; `given` is the pose that somebody told."""
+
+    step: Step
+    light: FloatArray
+    given: DoubleArray | None
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Key:
+    """Frame whose landmarks are followed, and the motion since it."""
+
+    landmarks: Landmarks
+    since: DoubleArray
+
+
+class MovingMemory:
+    """Adds up what the frames of a moving camera tell of depth.
+
+    Parameters
+    ----------
+    view : Pinhole
+        Of the maps.
+    frames : float
+        Frames after which most of what was seen is forgotten, > 0.
+
+    Examples
+    --------
+    >>> view = Pinhole((48, 64), (60.0, 60.0), (31.5, 23.5))
+    >>> memory = MovingMemory(view, frames=8)
+    >>> light = np.random.default_rng(0).random((48, 64), np.float32)
+    >>> depth = Belief(*(np.full((48, 64), value, np.float32) for value in (0.5, 1e-3, 0.6)))
+    >>> memory.add(light, depth, np.eye(4)).begun
+    True
+    >>> again = memory.add(light, depth, np.eye(4))
+    >>> again.begun, round(float(again.belief.inverse.mean()), 2)
+    (False, 0.5)
+    """
+
+    def __init__(self, view: Pinhole, frames: float) -> None:
+        self._view, self._keep = view, float(np.exp(-1 / frames))
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the frames so far."""
+        self._last: _Last | None = None
+        self._key: _Key | None = None
+        self._seen: tuple[Seen, ...] = ()
+
+    def add(self, light: FloatArray, belief: Belief, pose: DoubleArray | None = None) -> Step:
+        """Put the next frame's belief together with what was seen before.
+
+        Parameters
+        ----------
+        light : ndarray, float32 [rows, columns]
+            The frame, linear light.
+        belief : Belief
+            By this frame alone.
+        pose : ndarray, float64 [4, 4], optional
+            Turns points of the camera into those of a fixed frame, metres.
+        """
+        smooth = cv2.GaussianBlur(light, (0, 0), _SMOOTHING_PX)
+        roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
+        image = np.rint(255 * np.minimum(roots, 1)).astype(np.uint8)
+        last = self._last
+        matrix, motion, refused = self._moved(image, pose)
+        if last is None or matrix is None:
+            self.reset()
+            step = Step(belief, np.eye(4), begun=True, refused=refused)
+        else:
+            place = last.step.pose @ np.linalg.inv(matrix)
+            agreement = max(1 - self._keep, _AGREEMENT * self._novelty(last.step.belief, matrix))
+            past = carried(last.step.belief, last.light, smooth, self._view, matrix, self._keep)
+            together = fused(past, belief, agreement)
+            together = self._with_parallax(together, roots, place)
+            step = Step(together, place, motion, refused=refused)
+        self._last = _Last(step, smooth, pose)
+        self._seen = (*self._seen, Seen(roots, step.pose))[-_KEPT:]
+        self._follow(image, step, motion)
+        return step
+
+    def _moved(
+        self, image: NDArray[np.uint8], pose: DoubleArray | None
+    ) -> tuple[DoubleArray | None, Motion | None, bool]:
+        """Motion since the last frame, how it was found, and whether the given one is wrong."""
+        last, key = self._last, self._key
+        if last is None or key is None:
+            return None, None, False
+        given = None
+        if pose is not None and last.given is not None:
+            given = np.linalg.inv(pose) @ last.given
+            off = disagreement(key.landmarks, image, self._view, given @ key.since)
+            if off is None or off < _WRONG:
+                return given, None, False
+        found = find_motion(key.landmarks, image, self._view, key.since)
+        if found is None:
+            return None, None, given is not None
+        return found.matrix @ np.linalg.inv(key.since), found, given is not None
+
+    def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
+        """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""
+        inverse = np.full((1, 1), np.median(belief.inverse), np.float32)
+        rows, columns = self._view.shape
+        middle = dataclasses.replace(
+            self._view, shape=(1, 1), centre=tuple(np.subtract(self._view.centre, (columns / 2, rows / 2)))
+        )
+        column, row = Transfer(middle, matrix).columns_rows(inverse)
+        return float(1 - np.exp(-np.hypot(column, row)[0, 0] / _NEW_PX))
+
+    def _with_parallax(self, belief: Belief, roots: FloatArray, pose: DoubleArray) -> Belief:
+        """Belief with what the past frame tells whose parallax suits best."""
+        if not self._seen:
+            return belief
+        middle = float(np.median(belief.inverse))
+        focal_px = self._view.focal_px[0]
+
+        def parallax_px(seen: Seen) -> float:
+            shift = (np.linalg.inv(seen.pose) @ pose)[:3, 3]
+            return float(np.hypot(np.hypot(*shift[:2]), 0.1 * shift[2])) * focal_px * middle
+
+        best = min(
+            self._seen,
+            key=lambda seen: abs(np.log((parallax_px(seen) + 1e-3) / _BEST_PARALLAX_PX)),
+        )
+        if parallax_px(best) < _LEAST_PARALLAX_PX:
+            return belief
+        told = by_parallax(roots, best, pose, self._view, belief)
+        return fused(belief, told, _PARALLAX_AGREEMENT)
+
+    def _follow(self, image: NDArray[np.uint8], step: Step, motion: Motion | None) -> None:
+        """Go on with the landmarks, or look for new ones."""
+        enough = motion is not None and motion.share >= _SHARE_LEFT
+        if self._key is not None and enough and motion is not None:
+            self._key = dataclasses.replace(self._key, since=motion.matrix)
+            return
+        self._key = _Key(Landmarks.of(image, step.belief), np.eye(4))
