@@ -187,7 +187,6 @@ class DepthEstimator:
 
     def _new_stages(self, shape: Shape) -> _Planned:
         config, model, camera = self.config, self.model, self.camera
-        doubted = camera is not None and camera.focal_length_mm and not camera.field_is_measured
         threads = thread_count(config.threads)
         with ExitStack() as unless_made:
             stride_px = config.stride_px or model.stride_px
@@ -213,7 +212,7 @@ class DepthEstimator:
                 second_focus=self._second_focus,
                 fit_check=self._fit_check(),
                 device=torch_device(config.backend),
-                unmeasured_camera=camera if doubted else None,
+                camera=camera,
             )
             planned = _Planned(plan, make_front(plan, config), make_back(plan, config))
             unless_made.pop_all()

@@ -66,8 +66,8 @@ class Plan:
         Check of the frames, if there is one for the model and it is asked for.
     device : str or None
         PyTorch's name of the device that the network runs on; None: NumPy.
-    unmeasured_camera : Camera or None
-        If its lens was not measured away from the axis.
+    camera : Camera or None
+        For the view that the frames have.
     """
 
     shape: Shape
@@ -90,7 +90,14 @@ class Plan:
         own = isinstance(self.likelihood, EngineLikelihood) and self.decoder.learned
         return self.device is not None and own and self.sides is None and self.second_focus is None
 
-    unmeasured_camera: Camera | None = None
+    camera: Camera | None = None
+
+    @property
+    def unmeasured_camera(self) -> Camera | None:
+        """The camera, if its lens was not measured away from the axis."""
+        camera = self.camera
+        known = camera is None or camera.field_is_measured or not camera.focal_length_mm
+        return None if known else camera
 
     @property
     def reliability(self) -> tuple[float, ...]:

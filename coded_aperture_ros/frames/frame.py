@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.frames.expected_motion import ExpectedMotion
 from coded_aperture_ros.frames.grey import check_frame, resampled
@@ -46,6 +46,9 @@ class Frame:
         What is known of the picture's motion during the exposure.
     refocused : Frame or None
         A frame of the same view with the lens focused elsewhere; see `FocusPair`.
+    pose : ndarray, float64 [4, 4], or None
+        Turns points of the camera's optical frame into those of a fixed frame, metres; None:
+        unknown.
 
     Examples
     --------
@@ -61,6 +64,7 @@ class Frame:
     view: View | None = None
     motion: ExpectedMotion | None = None
     refocused: "Frame | None" = None
+    pose: DoubleArray | None = None
 
     @classmethod
     def of(cls, frame: "Frame | FloatArray") -> "Frame":

@@ -22,9 +22,15 @@ _LIGHT_SHARE, _DARK = 0.15, 0.02
 # What is nearer hides what is farther if it is at least so sure, as a share of the surest there.
 _HIDES = 0.7
 _LEAST_CONFIDENCE = 0.02
-_MOST_CONFIDENCE = 0.98
+_MOST_CONFIDENCE = 0.9999
 # Cracks between pixels that were carried apart are filled from around them, so surely.
 _CRACK_SHARE = 0.5
+
+
+# Log-odds of a confidence that frames have agreed on, and those of being within 5 %, on walks through
+# four rooms made by chance: frames have more errors in common than is reckoned with.
+_BELIEVED = (-9.0, 0.3, 0.7, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
+_RIGHT = (-9.0, 0.45, 0.62, 0.75, 1.0, 1.55, 2.15, 2.7, 3.25, 3.8, 5.0)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -44,6 +50,13 @@ class Belief:
     inverse: FloatArray
     variance: FloatArray
     confidence: FloatArray
+
+    @property
+    def published_confidence(self) -> FloatArray:
+        """Measured probability of an error of at most 5 %, in [0, 1], float32 [rows, columns]."""
+        limited = np.clip(self.confidence, 1e-4, _MOST_CONFIDENCE)
+        odds = np.interp(np.log(limited / (1 - limited)), _BELIEVED, _RIGHT)
+        return (1 / (1 + np.exp(-odds))).astype(np.float32)
 
 
 def fused(past: Belief, present: Belief, agreement: float) -> Belief:
