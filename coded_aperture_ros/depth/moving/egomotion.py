@@ -42,11 +42,14 @@ class Motion:
         Of the translation, m, and the rotation, rad, as the later view has them.
     share : float
         How many of all landmarks are found and go with it, in [0, 1].
+    misfit : float
+        Median of their normalised squared errors; about 1 if these are what is expected.
     """
 
     matrix: DoubleArray
     covariance: DoubleArray
     share: float
+    misfit: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -86,16 +89,15 @@ class Landmarks:
         return view.pixels(points[:, :2] / np.maximum(points[:, 2:], 1e-3))
 
     def followed(
-        self, image: NDArray[np.uint8], expected: DoubleArray | None
+        self, image: NDArray[np.uint8], expected: DoubleArray
     ) -> tuple[DoubleArray, BoolArray]:
         """Pixels [n, 2] of the points in another image, and which of them were found.
 
-        `expected` is where to begin, [n, 2]; None: where they were.
+        `expected` is where to begin, [n, 2].
         """
         if not len(self.pixels):
             return np.zeros((0, 2)), np.zeros(0, np.bool_)
-        begin = self.pixels if expected is None else expected.astype(np.float32)
-        found, there, _ = self._search(self.image, image, self.pixels, begin, _LEVELS)
+        found, there, _ = self._search(self.image, image, self.pixels, expected, _LEVELS)
         again, back, _ = self._search(image, self.image, found, self.pixels, _BACK_LEVELS)
         missed = np.abs(again - self.pixels).max(axis=1)
         ok = (there.ravel() > 0) & (back.ravel() > 0) & (missed < _RETURN_PX)
@@ -106,7 +108,7 @@ class Landmarks:
         first: NDArray[np.uint8],
         second: NDArray[np.uint8],
         pixels: FloatArray,
-        begin: FloatArray,
+        begin: FloatArray | DoubleArray,
         levels: int,
     ) -> tuple[FloatArray, NDArray[np.uint8], FloatArray]:
         return cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload,no-any-return]
@@ -121,56 +123,57 @@ class Landmarks:
         )
 
 
-def find_motion(
-    landmarks: Landmarks, image: NDArray[np.uint8], view: Pinhole, guess: DoubleArray | None
-) -> Motion | None:
-    """Motion since the frame of the landmarks; None if too few points tell it.
+@dataclasses.dataclass(frozen=True, eq=False)
+class Found:
+    """Landmarks that were found again in a later frame.
 
-    Parameters
+    Attributes
     ----------
     landmarks : Landmarks
-    image : ndarray, uint8 [rows, columns]
-        The later frame.
-    view : Pinhole
-        Of both.
-    guess : ndarray, float64 [4, 4], or None
-        From where the search begins.
+        Those that were found.
+    pixels : ndarray, float64 [n, 2]
+        Where they are there.
+    share : float
+        How many of all were found, in [0, 1].
     """
-    expected = None if guess is None else landmarks.moved(view, guess)
-    pixels, found = landmarks.followed(image, expected)
-    if found.sum() < _FEWEST:
-        return None
-    seen = dataclasses.replace(
-        landmarks,
-        pixels=landmarks.pixels[found],
-        inverse=landmarks.inverse[found],
-        variance=landmarks.variance[found],
-    )
-    begin = _beginning(seen, pixels[found], view)
-    if begin is None:
-        return None
-    motion = _improved(begin, seen, pixels[found], view)
-    return dataclasses.replace(motion, share=motion.share * float(found.mean()))
+
+    landmarks: Landmarks
+    pixels: DoubleArray
+    share: float
+
+    @classmethod
+    def of(
+        cls, landmarks: Landmarks, image: NDArray[np.uint8], view: Pinhole, guess: DoubleArray
+    ) -> "Found | None":
+        """Landmarks in a later image, searched for from a guessed motion on; None: too few."""
+        pixels, found = landmarks.followed(image, landmarks.moved(view, guess))
+        if found.sum() < _FEWEST:
+            return None
+        seen = dataclasses.replace(
+            landmarks,
+            pixels=landmarks.pixels[found],
+            inverse=landmarks.inverse[found],
+            variance=landmarks.variance[found],
+        )
+        return cls(seen, pixels[found], float(found.mean()))
+
+    def motion(self, view: Pinhole) -> Motion | None:
+        """Motion since the frame of the landmarks; None if too few points agree."""
+        begin = _beginning(self.landmarks, self.pixels, view)
+        return None if begin is None else self.improved(begin, view)
+
+    def improved(self, matrix: DoubleArray, view: Pinhole) -> Motion:
+        """Likeliest motion near one [4, 4]."""
+        motion = _improved(matrix, self.landmarks, self.pixels, view)
+        return dataclasses.replace(motion, share=motion.share * self.share)
+
+    def disagreement(self, matrix: DoubleArray, view: Pinhole) -> float:
+        """Median of the normalised squared errors under a motion [4, 4]; about 1 if it is right."""
+        errors, weights, _ = _errors(self.landmarks, self.pixels, view, matrix)
+        return float(np.median(np.einsum("ni,nij,nj->n", errors, weights, errors)))
 
 
-def disagreement(
-    landmarks: Landmarks, image: NDArray[np.uint8], view: Pinhole, matrix: DoubleArray
-) -> float | None:
-    """Median of normalised errors of the landmarks under a motion [4, 4]; about 1 if it is right.
-
-    None if too few points are found again.
-    """
-    pixels, found = landmarks.followed(image, landmarks.moved(view, matrix))
-    if found.sum() < _FEWEST:
-        return None
-    errors, weights, _ = _errors(landmarks, pixels, view, matrix)
-    normalised = np.einsum("ni,nij,nj->n", errors, weights, errors)[found]
-    return float(np.median(normalised))
-
-
-def _beginning(
-    landmarks: Landmarks, pixels: DoubleArray, view: Pinhole
-) -> DoubleArray | None:
+def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> DoubleArray | None:
     """Motion [4, 4] by the points that agree; None if there is none."""
     depth = 1 / landmarks.inverse
     points = np.column_stack([view.rays(landmarks.pixels) * depth[:, None], depth])
@@ -235,4 +238,5 @@ def _improved(
         matrix[:3, :3] = turn @ matrix[:3, :3]
         if np.abs(change).max() < _CONVERGED:
             break
-    return Motion(matrix, np.linalg.pinv(information), float((normalised < _OUTLIER).mean()))
+    share, misfit = float((normalised < _OUTLIER).mean()), float(np.median(normalised))
+    return Motion(matrix, np.linalg.pinv(information), share, misfit)

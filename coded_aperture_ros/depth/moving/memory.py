@@ -8,12 +8,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief, carried, fused
-from coded_aperture_ros.depth.moving.egomotion import (
-    Landmarks,
-    Motion,
-    disagreement,
-    find_motion,
-)
+from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 
@@ -24,10 +19,10 @@ _PARALLAX_AGREEMENT = 0.8
 # Past frames that are kept, and the parallax that is best to compare with, px of the map.
 _KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
 # Landmarks are looked for anew when fewer of them than this share go with the motion.
-_SHARE_LEFT = 0.75
-# A pose is wrong if landmarks are so much farther off than by the motion that they show
-# themselves, normalised.
-_WRONG = 12.0
+_SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
+# A pose is wrong if the squared errors of landmarks are so many times what the best motion near it
+# leaves, and by so much more.
+_WRONG, _WRONG_BY = 2.0, 2.0
 _SMOOTHING_PX = 0.7
 
 
@@ -41,7 +36,7 @@ class Step:
     pose : ndarray, float64 [4, 4]
         Of the camera, as seen from the first frame since the memory began.
     motion : Motion or None
-        Since the frame before, as it was found in the frames; None if a pose gave it or nothing.
+        Since an earlier frame, as landmarks tell it; None if there are too few.
     begun : bool
         Whether the memory began with this frame, as nothing tells the motion.
     refused : bool
@@ -66,10 +61,22 @@ class _Last:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Key:
-    """Frame whose landmarks are followed, and the motion since it."""
+    """Frame whose landmarks are followed, and the motion since it, [4, 4]."""
 
     landmarks: Landmarks
     since: DoubleArray
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Moved:
+    """Motion since the key frame, [4, 4]; None: unknown.
+
+    `by_landmarks` is what they tell, `refused` whether a given pose contradicts them.
+    """
+
+    since: DoubleArray | None
+    by_landmarks: Motion | None = None
+    refused: bool = False
 
 
 class MovingMemory:
@@ -120,40 +127,40 @@ class MovingMemory:
         smooth = cv2.GaussianBlur(light, (0, 0), _SMOOTHING_PX)
         roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
         image = np.rint(255 * np.minimum(roots, 1)).astype(np.uint8)
-        last = self._last
-        matrix, motion, refused = self._moved(image, pose)
-        if last is None or matrix is None:
+        last, key, moved = self._last, self._key, self._moved(image, pose)
+        if last is None or key is None or moved.since is None:
             self.reset()
-            step = Step(belief, np.eye(4), begun=True, refused=refused)
+            step = Step(belief, np.eye(4), begun=True, refused=moved.refused)
         else:
+            matrix = moved.since @ np.linalg.inv(key.since)
             place = last.step.pose @ np.linalg.inv(matrix)
             agreement = max(1 - self._keep, _AGREEMENT * self._novelty(last.step.belief, matrix))
             past = carried(last.step.belief, last.light, smooth, self._view, matrix, self._keep)
             together = fused(past, belief, agreement)
             together = self._with_parallax(together, roots, place)
-            step = Step(together, place, motion, refused=refused)
+            step = Step(together, place, moved.by_landmarks, refused=moved.refused)
         self._last = _Last(step, smooth, pose)
         self._seen = (*self._seen, Seen(roots, step.pose))[-_KEPT:]
-        self._follow(image, step, motion)
+        self._follow(image, step, moved)
         return step
 
-    def _moved(
-        self, image: NDArray[np.uint8], pose: DoubleArray | None
-    ) -> tuple[DoubleArray | None, Motion | None, bool]:
-        """Motion since the last frame, how it was found, and whether the given one is wrong."""
+    def _moved(self, image: NDArray[np.uint8], pose: DoubleArray | None) -> _Moved:
+        """Find the motion since the key frame, from the last motion on, or check a given one."""
         last, key = self._last, self._key
         if last is None or key is None:
-            return None, None, False
+            return _Moved(None)
         given = None
         if pose is not None and last.given is not None:
-            given = np.linalg.inv(pose) @ last.given
-            off = disagreement(key.landmarks, image, self._view, given @ key.since)
-            if off is None or off < _WRONG:
-                return given, None, False
-        found = find_motion(key.landmarks, image, self._view, key.since)
-        if found is None:
-            return None, None, given is not None
-        return found.matrix @ np.linalg.inv(key.since), found, given is not None
+            given = np.linalg.inv(pose) @ last.given @ key.since
+            found = Found.of(key.landmarks, image, self._view, given)
+            if found is None:  # nothing contradicts it
+                return _Moved(given)
+            near = found.improved(given, self._view)
+            if found.disagreement(given, self._view) < _WRONG * near.misfit + _WRONG_BY:
+                return _Moved(given, near)
+        found = Found.of(key.landmarks, image, self._view, key.since)
+        motion = None if found is None else found.motion(self._view)
+        return _Moved(None if motion is None else motion.matrix, motion, given is not None)
 
     def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""
@@ -185,10 +192,11 @@ class MovingMemory:
         told = by_parallax(roots, best, pose, self._view, belief)
         return fused(belief, told, _PARALLAX_AGREEMENT)
 
-    def _follow(self, image: NDArray[np.uint8], step: Step, motion: Motion | None) -> None:
-        """Go on with the landmarks, or look for new ones."""
-        enough = motion is not None and motion.share >= _SHARE_LEFT
-        if self._key is not None and enough and motion is not None:
-            self._key = dataclasses.replace(self._key, since=motion.matrix)
-            return
+    def _follow(self, image: NDArray[np.uint8], step: Step, moved: _Moved) -> None:
+        """Go on with the landmarks, or look for new ones where they have become few or strange."""
+        key, motion = self._key, moved.by_landmarks
+        if key is not None and moved.since is not None and motion is not None:
+            if motion.share >= _SHARE_LEFT and motion.misfit <= _MOST_MISFIT:
+                self._key = dataclasses.replace(key, since=moved.since)
+                return
         self._key = _Key(Landmarks.of(image, step.belief), np.eye(4))
