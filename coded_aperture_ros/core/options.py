@@ -34,7 +34,7 @@ class Option:
     daily : bool
         Whether `--help` shows it; `--help-all` shows every option.
     needs : (str, value) or None
-        Field, and the value of it without which only the default is allowed.
+        Field, and the value of it without which only the default is allowed; True: any but 0.
     parameter : str
         Name of the ROS parameter, such as ``regularize.method``; empty: see `parameter_names`.
     """
@@ -144,8 +144,11 @@ def check_options(config: Any) -> None:
         check_option(name, value, type(field.default), described)
         if described.needs is not None and value != field.default:
             other, needed = described.needs
-            if getattr(config, other) != needed:
-                raise InputError(f"{name}: needs {other}: {needed}, else use {field.default}")
+            found = getattr(config, other)
+            if not found if needed is True else found != needed:
+                needed = "more than 0" if isinstance(found, float) else needed
+                instead = f"use {field.default}" if field.default != "" else "leave it empty"
+                raise InputError(f"{name}: needs {other}: {needed}, else {instead}")
 
 
 def check_option(name: str, value: Any, expected: type, described: Option) -> None:

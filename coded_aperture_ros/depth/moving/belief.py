@@ -27,8 +27,8 @@ _MOST_CONFIDENCE = 0.9999
 _CRACK_SHARE = 0.5
 
 
-# Log-odds of a confidence that frames have agreed on, and those of being within 5 %, on walks through
-# four rooms made by chance: frames have more errors in common than is reckoned with.
+# Log-odds of a confidence that frames have agreed on, and those of being within 5 %, on walks
+# through four rooms made by chance: frames have more errors in common than is reckoned with.
 _BELIEVED = (-9.0, 0.3, 0.7, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
 _RIGHT = (-9.0, 0.45, 0.62, 0.75, 1.0, 1.55, 2.15, 2.7, 3.25, 3.8, 5.0)
 
@@ -142,7 +142,7 @@ def carried(
     nearer = 1 / transfer.depth_ratio(belief.inverse)[inside]
     inverse = belief.inverse[inside]
     variance = (belief.variance[inside] + _STEP_VARIANCE * np.square(inverse)) * np.square(nearer)
-    inverse = inverse * nearer
+    inverse = np.asarray(inverse * nearer, np.float32)
     seen = now.ravel()[target]
     differs = (light[inside] - seen) / (_LIGHT_SHARE * (seen + _DARK))
     confidence = np.float32(keep) * belief.confidence[inside] * np.exp(-0.5 * np.square(differs))

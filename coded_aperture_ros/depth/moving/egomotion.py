@@ -14,8 +14,9 @@ from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.geometry import Pinhole
 
-# Points that are looked for, by OpenCV: how many, their least quality and distance, px.
-_POINTS, _QUALITY, _APART_PX, _CORNER_PX = 300, 0.002, 6, 5
+# Points that are looked for, by OpenCV: how many, their least quality and distance, px. They are
+# spread: something textured that moves by itself must not have most of them.
+_POINTS, _QUALITY, _APART_PX, _CORNER_PX = 300, 0.0005, 11, 5
 _FEWEST = 20
 _LEAST_CONFIDENCE, _LEAST_INVERSE = 0.3, 0.02
 # Search for them: window and levels of half the size; and how far the way back may miss them, px.
@@ -26,8 +27,9 @@ _AGREE_PX, _TRIES = 1.0, 100
 # Standard deviation of a found point, px, and what is added to that of its inverse depth, a share.
 _POINT_PX, _DEPTH_SHARE = 0.1, 0.05
 _ROUNDS, _CONVERGED = 8, 1e-7
-# Normalised errors from which points count less, and those that are no error of these points.
-_ROBUST, _OUTLIER = 3.0, 9.0
+# Normalised errors from which points count less, and those that are no error of these points. A
+# motion with a larger median of them is none.
+_ROBUST, _OUTLIER, _MOST_MISFIT = 3.0, 9.0, 5.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -111,7 +113,7 @@ class Landmarks:
         begin: FloatArray | DoubleArray,
         levels: int,
     ) -> tuple[FloatArray, NDArray[np.uint8], FloatArray]:
-        return cv2.calcOpticalFlowPyrLK(  # type: ignore[call-overload,no-any-return]
+        return cv2.calcOpticalFlowPyrLK(
             first,
             second,
             np.ascontiguousarray(pixels),
@@ -160,7 +162,8 @@ class Found:
     def motion(self, view: Pinhole) -> Motion | None:
         """Motion since the frame of the landmarks; None if too few points agree."""
         begin = _beginning(self.landmarks, self.pixels, view)
-        return None if begin is None else self.improved(begin, view)
+        motion = None if begin is None else self.improved(begin, view)
+        return motion if motion is not None and motion.misfit < _MOST_MISFIT else None
 
     def improved(self, matrix: DoubleArray, view: Pinhole) -> Motion:
         """Likeliest motion near one [4, 4]."""
@@ -218,7 +221,7 @@ def _errors(
         [by_point * inverse[:, None], by_point @ turned.transpose(2, 0, 1)], axis=2
     )
     errors = view.rays(pixels) - np.column_stack([x / z, y / z])
-    return errors, np.linalg.inv(covariance), by_motion
+    return errors, np.asarray(np.linalg.inv(covariance), np.float64), by_motion
 
 
 def _improved(

@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, Shape
 from coded_aperture_ros.optics import Camera
 
 # Points nearer than this share of their depth before are behind the camera, or about to be.
@@ -54,7 +54,7 @@ class Pinhole:
         (fx, fy), (cx, cy) = self.focal_px, self.centre
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
-    def rays(self, pixels: DoubleArray) -> DoubleArray:
+    def rays(self, pixels: DoubleArray | FloatArray) -> DoubleArray:
         """Tangents of the angles at pixels [n, 2] (column, row), float64 [n, 2]."""
         return (np.asarray(pixels, np.float64) - self.centre) / self.focal_px
 
@@ -89,7 +89,7 @@ class Transfer:
         ratio: FloatArray = np.maximum(self._ray[2] + self._shift[2] * inverse, _LEAST_DEPTH)
         return ratio
 
-    def is_ahead(self, inverse: FloatArray) -> FloatArray:
+    def is_ahead(self, inverse: FloatArray) -> BoolArray:
         """Whether points are before the second camera, bool [rows, columns]."""
         return np.asarray(self._ray[2] + self._shift[2] * inverse > _LEAST_DEPTH)
 

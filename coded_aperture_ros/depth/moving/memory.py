@@ -164,13 +164,11 @@ class MovingMemory:
 
     def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""
+        # The middle of the picture, as far as most of it.
+        middle = Pinhole((1, 1), self._view.focal_px, (0.0, 0.0))
         inverse = np.full((1, 1), np.median(belief.inverse), np.float32)
-        rows, columns = self._view.shape
-        middle = dataclasses.replace(
-            self._view, shape=(1, 1), centre=tuple(np.subtract(self._view.centre, (columns / 2, rows / 2)))
-        )
-        column, row = Transfer(middle, matrix).columns_rows(inverse)
-        return float(1 - np.exp(-np.hypot(column, row)[0, 0] / _NEW_PX))
+        shift_px = np.hypot(*Transfer(middle, matrix).columns_rows(inverse))
+        return float(1 - np.exp(-shift_px[0, 0] / _NEW_PX))
 
     def _with_parallax(self, belief: Belief, roots: FloatArray, pose: DoubleArray) -> Belief:
         """Belief with what the past frame tells whose parallax suits best."""
@@ -184,8 +182,7 @@ class MovingMemory:
             return float(np.hypot(np.hypot(*shift[:2]), 0.1 * shift[2])) * focal_px * middle
 
         best = min(
-            self._seen,
-            key=lambda seen: abs(np.log((parallax_px(seen) + 1e-3) / _BEST_PARALLAX_PX)),
+            self._seen, key=lambda seen: abs(np.log((parallax_px(seen) + 1e-3) / _BEST_PARALLAX_PX))
         )
         if parallax_px(best) < _LEAST_PARALLAX_PX:
             return belief
@@ -195,8 +192,8 @@ class MovingMemory:
     def _follow(self, image: NDArray[np.uint8], step: Step, moved: _Moved) -> None:
         """Go on with the landmarks, or look for new ones where they have become few or strange."""
         key, motion = self._key, moved.by_landmarks
-        if key is not None and moved.since is not None and motion is not None:
-            if motion.share >= _SHARE_LEFT and motion.misfit <= _MOST_MISFIT:
-                self._key = dataclasses.replace(key, since=moved.since)
-                return
-        self._key = _Key(Landmarks.of(image, step.belief), np.eye(4))
+        good = motion and motion.share >= _SHARE_LEFT and motion.misfit <= _MOST_MISFIT
+        if key is not None and moved.since is not None and good:
+            self._key = dataclasses.replace(key, since=moved.since)
+        else:
+            self._key = _Key(Landmarks.of(image, step.belief), np.eye(4))

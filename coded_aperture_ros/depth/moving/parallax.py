@@ -52,7 +52,9 @@ class Seen:
     pose: DoubleArray
 
 
-def by_parallax(now: FloatArray, seen: Seen, pose: DoubleArray, view: Pinhole, belief: Belief) -> Belief:
+def by_parallax(
+    now: FloatArray, seen: Seen, pose: DoubleArray, view: Pinhole, belief: Belief
+) -> Belief:
     """Belief by parallax alone; confidence 0 where nothing can be told.
 
     Parameters
@@ -76,10 +78,11 @@ def by_parallax(now: FloatArray, seen: Seen, pose: DoubleArray, view: Pinhole, b
     inverse = line.likeliest_around(np.maximum(belief.inverse, _LEAST_INVERSE))
     change, information, slope = line.improvement(inverse)
     hold = 1 / (_LOOSER * belief.variance + np.square(_TOLERANCE * inverse))
-    inverse = np.maximum(inverse + information * change / (information + hold), _LEAST_INVERSE)
+    found = np.maximum(inverse + information * change / (information + hold), _LEAST_INVERSE)
+    inverse = np.asarray(found, np.float32)
     left, hidden = line.left_over(inverse)
     misfit = left / (2 * _NOISE**2 + np.float32(_SHIFT_PX**2) * slope)
-    variance = 1 / np.maximum(information, np.float32(1e-6))
+    variance = np.asarray(1 / np.maximum(information, np.float32(1e-6)), np.float32)
     tolerated = np.square(_TOLERANCE * inverse)
     confidence = _MOST_CONFIDENCE * np.exp(-np.maximum(misfit - 1, 0) / _MISFIT_SCALE)
     confidence *= (1 - hidden) * tolerated / (tolerated + variance)
@@ -126,7 +129,9 @@ class _Line:
         The slope is the mean square of the change of the earlier frame along the line, per px.
         """
         px_per = np.maximum(self._transfer.parallax(inverse), np.float32(1e-2))
-        step = np.minimum(_STEP_PX / px_per, np.float32(0.3) * np.maximum(inverse, np.float32(0.05)))
+        step = np.minimum(
+            _STEP_PX / px_per, np.float32(0.3) * np.maximum(inverse, np.float32(0.05))
+        )
         before, here, after = (self._shown(inverse + sign * step) for sign in (-1, 0, 1))
         inside = np.minimum(np.minimum(before, here), after) >= 0
         slope = np.where(inside, (after - before) / (2 * step * px_per), 0)

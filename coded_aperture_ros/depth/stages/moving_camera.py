@@ -16,8 +16,8 @@ from coded_aperture_ros.depth.stages import temporal
 from coded_aperture_ros.optics import Camera
 
 LAYERS: tuple[LayerSpec, ...] = ()
-WHEN = "follows_camera"
-STILL, FRAMES, POSE = "still", "frames", "pose"
+WHEN = "moving_camera"
+FRAMES, POSE = "frames", "pose"
 # Larger maps are worked on in so many rows and columns: parallax is found to parts of a pixel.
 _LARGEST = (240, 320)
 # Where a depth is another than this frame's by more than this share, the edges are the memory's.
@@ -29,25 +29,15 @@ class Config(temporal.Config):
     """How past frames are used where the camera itself moves."""
 
     moving_camera: str = option(
-        STILL,
-        "What tells how the camera moves between frames: still, nothing; frames, points that are "
-        "found again; pose, a pose that comes with each frame, as from tf, checked by such points. "
-        "Needs temporal frames, and a camera file.",
-        choices=(STILL, FRAMES, POSE),
+        "",
+        "What tells how the camera moves, so that past frames help where it does: frames, points "
+        "that are found again; pose, the pose that comes with a frame, as from tf, which such "
+        "points check; empty: nothing.",
+        choices=("", FRAMES, POSE),
         parameter="temporal.moving_camera",
+        needs=("temporal_frames", True),
         daily=True,
     )
-
-    def __post_init__(self) -> None:
-        if self.follows_camera and not self.temporal_frames:
-            raise InputError(
-                f"moving_camera: {self.moving_camera} needs temporal_frames above 0, such as 8"
-            )
-
-    @property
-    def follows_camera(self) -> bool:
-        """Whether the camera's motion is followed."""
-        return self.moving_camera != STILL
 
 
 def make(plan: Plan, config: Config) -> Stage:
@@ -120,14 +110,15 @@ class MovingCamera(Stage):
             )
         )
         same = np.abs(change) <= _SAME * np.maximum(inverse, own_inverse)
-        inverse = np.where(same, own_inverse + change, inverse)
+        inverse = np.asarray(np.where(same, own_inverse + change, inverse), np.float32)
         # The inverse depth is linear in the level, but for what the field of the lens adds.
         tables = self._tables
         axial = np.interp(work.level, np.arange(len(tables)), tables) + inverse - own_inverse
         order = np.argsort(tables)
         level = np.interp(axial, tables[order], order.astype(np.float64))
-        work.level = level.astype(np.float32)
-        work.deviation = np.sqrt(variance) / np.maximum(per_level, np.float32(1e-6))
+        work.level = np.asarray(level, np.float32)
+        deviation = np.sqrt(variance) / np.maximum(per_level, np.float32(1e-6))
+        work.deviation = np.asarray(deviation, np.float32)
         work.confidence = confidence
 
     def _inverse(self, level: FloatArray) -> FloatArray:

@@ -1,0 +1,270 @@
+"""What a moving camera's past frames tell: motion, parallax, belief; poses that are wrong."""
+
+import numpy as np
+import pytest
+
+from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole
+from coded_aperture_ros.depth.moving.belief import carried, fused
+from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
+from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
+from coded_aperture_ros.frames import Frame
+from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
+from coded_aperture_ros.optics import Camera, Mask
+
+VIEW = Pinhole((120, 160), (150.0, 150.0), (79.5, 59.5))
+WALL_M, BOX_M = 3.0, 1.5
+
+
+def texture(seed, count=60):
+    """Smooth light over a plane: a sum of waves, exact at any point."""
+    random = np.random.default_rng(seed)
+    waves = random.normal(size=(count, 2)) * 18
+    phases, heights = random.uniform(0, 2 * np.pi, count), random.normal(size=count)
+
+    def light(x, y):
+        total = np.zeros(x.shape)
+        for (u, v), phase, height in zip(waves, phases, heights, strict=True):
+            total += height * np.cos(u * x + v * y + phase)
+        return np.clip(0.4 + 0.1 * total / np.sqrt(count / 2), 0.02, 1)
+
+    return light
+
+
+WALL, BOX = texture(1), texture(2)
+
+
+def seen(pose, box=True, box_at=(0.0, 0.0)):
+    """Light and depth of a wall, and a box before it, from a pose."""
+    rows, columns = np.indices(VIEW.shape)
+    rays = np.stack(
+        [(columns - VIEW.centre[0]) / 150, (rows - VIEW.centre[1]) / 150, np.ones(VIEW.shape)], -1
+    )
+    rays, place = rays @ pose[:3, :3].T, pose[:3, 3]
+    light, depth = np.zeros(VIEW.shape), np.full(VIEW.shape, np.inf)
+    planes = [(WALL_M, WALL, None)] + ([(BOX_M, BOX, 0.3)] if box else [])
+    for at_m, paint, half in planes:
+        way = (at_m - place[2]) / rays[..., 2]
+        x, y = (place[axis] + way * rays[..., axis] for axis in (0, 1))
+        hit = way < depth
+        if half is not None:
+            x, y = x - box_at[0], y - box_at[1]
+            hit &= (np.abs(x) < half) & (np.abs(y) < half)
+        light = np.where(hit, paint(x, y), light)
+        depth = np.where(hit, way, depth)
+    return light.astype(np.float32), depth.astype(np.float32)
+
+
+def moved(x=0.0, y=0.0, z=0.0, yaw=0.0):
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    return np.array([[cosine, 0, sine, x], [0, 1, 0, y], [-sine, 0, cosine, z], [0, 0, 0, 1.0]])
+
+
+WAY = [moved(0.03 * i, 0.01 * i, 0.02 * i, 0.01 * i) for i in range(8)]
+
+
+def blurred_belief(depth, seed, error=0.06, confidence=0.7):
+    """Belief whose errors are of patches, as those by blur are."""
+    random = np.random.default_rng(seed)
+    patches = random.normal(size=(8, 10))
+    errors = np.kron(patches, np.ones((15, 16)))
+    inverse = (1 / depth * (1 + error * errors)).astype(np.float32)
+    variance = np.square(error * inverse)
+    return Belief(inverse, variance, np.full(depth.shape, confidence, np.float32))
+
+
+def error_of(belief, depth):
+    return float(np.mean(np.abs(1 / np.maximum(belief.inverse, 1e-3) / depth - 1)))
+
+
+def walk(poses_given, way=WAY, **scene):
+    """Steps of a memory along a way, and errors with it and by each frame alone."""
+    memory = MovingMemory(VIEW, frames=8)
+    steps, errors, alone = [], [], []
+    for index, pose in enumerate(way):
+        light, depth = seen(pose, **scene)
+        own = blurred_belief(depth, index)
+        given = None if poses_given is None else poses_given[index]
+        steps.append(memory.add(light, own, given))
+        errors.append(error_of(steps[-1].belief, depth))
+        alone.append(error_of(own, depth))
+    return steps, np.array(errors), np.array(alone)
+
+
+def test_pose_and_parallax_make_depth_better():
+    steps, errors, alone = walk(WAY)
+    assert errors[-1] < 0.4 * alone[-1]
+    assert not any(step.refused for step in steps)
+    assert [step.begun for step in steps] == [True] + [False] * 7
+
+
+def test_motion_is_found_in_the_frames():
+    steps, errors, alone = walk(None)
+    assert errors[-1] < 0.7 * alone[-1]
+    found = np.linalg.inv(WAY[0]) @ WAY[-1]
+    assert np.linalg.norm(steps[-1].pose[:3, 3] - found[:3, 3]) < 0.15 * np.linalg.norm(
+        found[:3, 3]
+    )
+    assert np.abs(steps[-1].pose[:3, :3] - found[:3, :3]).max() < 0.02
+
+
+def test_motion_between_two_frames_by_true_depth():
+    first, depth = seen(WAY[0])
+    second, _ = seen(WAY[4])
+    images = [np.rint(255 * np.sqrt(light)).astype(np.uint8) for light in (first, second)]
+    exact = Belief(1 / depth, np.full(depth.shape, 1e-8, np.float32), np.ones_like(depth))
+    landmarks = Landmarks.of(images[0], exact)
+    found = Found.of(landmarks, images[1], VIEW, np.eye(4))
+    motion = found.motion(VIEW)
+    true = np.linalg.inv(WAY[4]) @ WAY[0]
+    assert np.linalg.norm(motion.matrix[:3, 3] - true[:3, 3]) < 0.05 * np.linalg.norm(true[:3, 3])
+    off = np.abs(motion.matrix[:3, 3] - true[:3, 3])
+    assert (off < 6 * np.sqrt(np.diag(motion.covariance)[:3])).all()
+    assert found.disagreement(true, VIEW) < 4 < found.disagreement(moved(0.1) @ true, VIEW)
+
+
+@pytest.mark.parametrize("wrong", [moved(x=0.1), moved(yaw=np.radians(5))])
+def test_a_wrong_pose_is_refused_and_forgotten(wrong):
+    poses = [pose if index < 4 else pose @ wrong for index, pose in enumerate(WAY)]
+    steps, errors, alone = walk(poses)
+    assert [step.refused for step in steps[:5]] == [False] * 4 + [True]
+    assert (errors[4:] < 0.9 * alone[4:]).all()
+
+
+def test_poses_of_the_frame_before_are_refused():
+    steps, errors, alone = walk([WAY[0], *WAY[:-1]])
+    assert steps[1].refused
+    assert errors[3:].mean() < alone[3:].mean()
+
+
+def test_a_missing_pose_is_found_in_the_frames():
+    poses = [None if index in (3, 4) else pose for index, pose in enumerate(WAY)]
+    steps, errors, alone = walk(poses)
+    assert not any(step.begun or step.refused for step in steps[1:])
+    assert errors[-1] < 0.5 * alone[-1]
+
+
+def test_without_texture_every_frame_stands_for_itself():
+    memory = MovingMemory(VIEW, frames=8)
+    grey = np.full(VIEW.shape, 0.5, np.float32)
+    for index in range(3):
+        own = blurred_belief(np.full(VIEW.shape, 2.0, np.float32), index)
+        step = memory.add(grey, own)
+        assert step.begun
+        np.testing.assert_array_equal(step.belief.inverse, own.inverse)
+
+
+def test_what_moves_by_itself_is_forgotten():
+    """A box comes into view before the wall: within three frames the box is believed."""
+    memory = MovingMemory(VIEW, frames=8)
+    for index, pose in enumerate(WAY):
+        box = index >= 4
+        light, depth = seen(pose, box=box)
+        own = blurred_belief(depth, index)
+        step = memory.add(light, own, pose)
+        if index == 6:
+            there = depth < 2
+            assert there.sum() > 500
+            assert (
+                error_of(Belief(*(m[there] for m in vars(step.belief).values())), depth[there])
+                < 0.1
+            )
+
+
+def test_carried_depth_is_that_of_the_new_view():
+    light, depth = seen(WAY[0], box=False)
+    now, nearer = seen(moved(z=0.5), box=False)
+    exact = Belief(1 / depth, np.full(depth.shape, 1e-6, np.float32), np.ones_like(depth))
+    belief = carried(exact, light, now, VIEW, moved(z=-0.5), keep=0.9)
+    known = belief.confidence > 0.1
+    assert known.mean() > 0.8
+    np.testing.assert_allclose(belief.inverse[known], 1 / nearer[known], rtol=1e-3)
+    assert belief.confidence.max() <= 0.9
+
+
+def test_what_is_nearer_hides_what_is_farther():
+    """A box moves before the wall, in the view of a camera that goes to the side."""
+    light, depth = seen(WAY[0])
+    pose = moved(x=0.2)
+    now, truth = seen(pose)
+    exact = Belief(1 / depth, np.full(depth.shape, 1e-6, np.float32), np.ones_like(depth))
+    belief = carried(exact, light, now, VIEW, np.linalg.inv(pose), keep=1.0)
+    sure = belief.confidence > 0.5
+    assert np.mean(np.abs(belief.inverse * truth - 1)[sure] < 0.02) > 0.98
+
+
+def test_parallax_alone_corrects_an_error():
+    light, _ = seen(WAY[0], box=False)
+    pose = moved(x=0.15)
+    now, truth = seen(pose, box=False)
+    off = blurred_belief(truth * 1.05, 0, error=0.05)
+    roots = [np.sqrt(each) for each in (light, now)]
+    told = by_parallax(roots[1], Seen(roots[0], np.eye(4)), pose, VIEW, off)
+    sure = told.confidence > 0.5
+    assert sure.mean() > 0.5
+    assert np.median(np.abs(told.inverse * truth - 1)[sure]) < 0.01
+
+
+def constant(inverse, variance, confidence):
+    return Belief(
+        *(np.full((2, 3), value, np.float32) for value in (inverse, variance, confidence))
+    )
+
+
+def test_two_beliefs_that_agree_are_surer_than_either():
+    both = fused(constant(0.5, 1e-3, 0.7), constant(0.51, 1e-3, 0.7), 1.0)
+    assert both.confidence.min() > 0.8
+    assert 0.5 < both.inverse[0, 0] < 0.51
+    assert both.variance.max() < 1e-3
+
+
+def test_of_two_that_disagree_the_likelier_stands_and_is_less_sure():
+    both = fused(constant(0.5, 1e-4, 0.9), constant(1.0, 1e-4, 0.6), 1.0)
+    assert both.inverse[0, 0] == np.float32(0.5)
+    assert both.confidence.max() < 0.9
+    other = fused(constant(0.5, 1e-4, 0.6), constant(1.0, 1e-4, 0.9), 1.0)
+    assert other.inverse[0, 0] == 1.0
+
+
+@pytest.mark.parametrize("order", [(0.0, 0.6), (0.6, 0.0)])
+def test_what_nobody_knows_changes_nothing(order):
+    first, second = constant(0.3, 1e-3, order[0]), constant(0.7, 1e-3, order[1])
+    both, known = fused(first, second, 1.0), first if order[0] else second
+    for name in ("inverse", "variance", "confidence"):
+        np.testing.assert_array_equal(getattr(both, name), getattr(known, name))
+
+
+CAMERA = Camera(150.0, 0.9, 160, 120, Mask.named("levin"), 60.0)
+
+
+@pytest.fixture(scope="module")
+def bank():
+    return learn_bank_for_camera(CAMERA, 1.2, 4.0, 15)
+
+
+def test_the_stage_needs_metres_and_a_memory(bank):
+    with pytest.raises(InputError, match="needs temporal_frames: more than 0"):
+        DepthConfig(moving_camera="frames")
+    config = DepthConfig(temporal_frames=8, moving_camera="frames")
+    with pytest.raises(InputError, match="give a camera file"):
+        DepthEstimator(bank, config).estimate(seen(WAY[0])[0])
+
+
+@pytest.mark.parametrize("size", [None, (60, 80)])
+@pytest.mark.parametrize("how", ["frames", "pose"])
+def test_the_stage_in_the_estimator(bank, how, size):
+    config = DepthConfig(temporal_frames=8, moving_camera=how, confidence_threshold=0.0)
+    estimator = DepthEstimator(bank, config, CAMERA)
+    for pose in WAY[:3]:
+        estimate = estimator.estimate(Frame(seen(pose)[0], pose=pose), size)
+    assert estimate.depth_m.shape == (size or VIEW.shape)
+    assert np.isfinite(estimate.level).all()
+    assert (estimate.std_dev_m > 0).all()
+    assert ((estimate.confidence >= 0) & (estimate.confidence <= 1)).all()
+    estimator.reset()
+    again = estimator.estimate(Frame(seen(WAY[0])[0], pose=WAY[0]), size)
+    alone = DepthEstimator(
+        bank, DepthConfig(temporal_frames=8, confidence_threshold=0.0), CAMERA
+    ).estimate(Frame(seen(WAY[0])[0]), size)
+    np.testing.assert_array_equal(again.level, alone.level)
