@@ -100,6 +100,7 @@ BENCHMARKS: dict[str, Group | Entry] = {
         "two surfaces in one window: nets, leaves and panes before something", "suites.second"
     ),
     "focus": Entry("two frames at two focus settings, beside one", "suites.focus"),
+    "moving": Entry("what past frames tell a camera that moves", "suites.moving"),
     "odometry": Entry(
         "how far a robot drifts that steers by these frames alone", "suites.odometry"
     ),

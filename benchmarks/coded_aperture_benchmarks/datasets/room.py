@@ -149,7 +149,7 @@ def random_room(seed: int) -> Room:
     """Return a room with furniture along its walls and some things in its middle."""
     random = np.random.default_rng([11, seed])
     wide, high, deep = _ROOM_M
-    boards = list(_box_boards(random, np.array([0, high / 2, 0]), _ROOM_M, 0.0))
+    boards = list(box_boards(random, np.array([0, high / 2, 0]), _ROOM_M, 0.0))
     for _ in range(_FURNITURE):
         size = random.uniform([0.1, 0.3, 0.1], [1.0, 2.0, 0.7])
         angle = random.uniform(0, 2 * np.pi)
@@ -159,12 +159,12 @@ def random_room(seed: int) -> Room:
         )
         away = random.uniform(0.85, 1.0) * outer
         middle = np.array([away * np.cos(angle), high - size[1] / 2, away * np.sin(angle)])
-        boards += _box_boards(random, middle, size, random.uniform(0, np.pi))
+        boards += box_boards(random, middle, size, random.uniform(0, np.pi))
     for _ in range(3):  # in the middle of the ring
         size = random.uniform([0.2, 0.3, 0.2], [0.6, 1.5, 0.6])
         place = random.uniform(-0.4, 0.4, 2)
         middle = np.array([place[0], high - size[1] / 2, place[1]])
-        boards += _box_boards(random, middle, size, random.uniform(0, np.pi))
+        boards += box_boards(random, middle, size, random.uniform(0, np.pi))
     return Room(tuple(boards))
 
 
@@ -210,7 +210,7 @@ def _turned(yaw: float, pitch: float, roll: float) -> DoubleArray:
     return np.asarray(about_y @ about_x @ about_z)
 
 
-def _box_boards(
+def box_boards(
     random: np.random.Generator, middle: DoubleArray, size: Any, angle: float
 ) -> list[Board]:
     """Return the six sides of a box that is turned about the vertical axis."""

@@ -45,9 +45,14 @@ class Walk:
     views: Iterable[View]
 
 
+def walking_camera(mask: Mask) -> tuple[Camera, tuple[float, float]]:
+    """Return the camera of walks through rooms, and the depths that it is made for, m."""
+    return camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _RANGE_M, _BLUR_PX), _RANGE_M
+
+
 def through_room(seed: int, length_m: float, step_m: float, mask: Mask) -> Walk:
     """Return a walk through a room made by chance, all of it beyond the focus."""
-    camera = camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _RANGE_M, _BLUR_PX)
+    camera, range_m = walking_camera(mask)
     poses = walk(seed, length_m, step_m)
 
     def views() -> Iterator[View]:
@@ -55,7 +60,7 @@ def through_room(seed: int, length_m: float, step_m: float, mask: Mask) -> Walk:
         for pose in poses:
             yield *room.seen(camera, pose), room.coded(camera, pose)
 
-    return Walk(camera, _RANGE_M, poses, len(poses), views())
+    return Walk(camera, range_m, poses, len(poses), views())
 
 
 def of_video(folder: Path, mask_name: str) -> Walk:
