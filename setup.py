@@ -68,6 +68,7 @@ setup(
             "ros-jazzy-sensor-msgs==5.3.6",
             "ros-jazzy-std-msgs==5.3.6",
             "ros-jazzy-geometry-msgs==5.3.6",
+            "ros-jazzy-nav-msgs==5.3.6",
             "ros-jazzy-diagnostic-msgs==5.3.6",
             "ros-jazzy-rcl-interfaces==2.0.3",
             "ros-jazzy-rosgraph-msgs==2.0.3",

@@ -9,6 +9,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.layer import Layer
+from coded_aperture_ros.depth.moving import Step
 from coded_aperture_ros.depth.quality import Health
 
 # Maps that are NaN where the depth is unknown.
@@ -40,6 +41,8 @@ class DepthEstimate:
     health : Health or None
         How well the frame fits the bank; `confidence` includes it. None where it cannot be
         checked: see `unchecked_reason`.
+    camera_step : Step or None
+        What is known of the camera's motion, with `moving_camera`.
     layers : mapping of str to Layer
         Other results of the stages, by name, such as ``free_space`` or ``motion``.
     stamp_ns : int or None
@@ -64,6 +67,7 @@ class DepthEstimate:
     noise: float
     std_dev_m: FloatArray | None = None
     health: Health | None = None
+    camera_step: Step | None = None
     layers: Mapping[str, Layer] = dataclasses.field(default_factory=dict)
     stamp_ns: int | None = None
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)

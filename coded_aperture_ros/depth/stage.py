@@ -17,6 +17,7 @@ from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.moving import Step
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality import FitCheck, Health
 from coded_aperture_ros.frames import Frame, KnownNoise, PatchGrid, frames_per_patch
@@ -141,6 +142,7 @@ class Work:
     deviation: FloatArray = dataclasses.field(init=False)  # decode
     confidence: FloatArray = dataclasses.field(init=False)  # decode; lowered by later stages
     health: Health | None = None  # quality of fit; focus pair
+    camera_step: Step | None = None  # moving camera
     doubted: BoolArray = dataclasses.field(init=False)  # decode; where nothing may be claimed
     unknown: BoolArray = dataclasses.field(init=False)  # unknown
     blur_size_px: FloatArray = dataclasses.field(init=False)  # metric
@@ -182,6 +184,7 @@ class Work:
             confidence=self.confidence,
             noise=self.observation.channel_noise,
             health=self.health,
+            camera_step=self.camera_step,
             layers=self.layers,
             stamp_ns=self.frame.stamp_ns,
             seconds=self.seconds,

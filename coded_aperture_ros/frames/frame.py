@@ -1,6 +1,7 @@
 """One frame of a camera: its light, and what is known about it before anything is estimated."""
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,10 @@ class Frame:
         What is known of the picture's motion during the exposure.
     refocused : Frame or None
         A frame of the same view with the lens focused elsewhere; see `FocusPair`.
-    pose : ndarray, float64 [4, 4], or None
-        Turns points of the camera's optical frame into those of a fixed frame, metres; None:
-        unknown.
+    pose : callable or None
+        Gives what turns points of the camera's optical frame into those of a fixed one, metres,
+        float64 [4, 4]; or None, where it is unknown. It is asked when the pose is needed: on a
+        robot it may come a little after the frame.
 
     Examples
     --------
@@ -64,7 +66,7 @@ class Frame:
     view: View | None = None
     motion: ExpectedMotion | None = None
     refocused: "Frame | None" = None
-    pose: DoubleArray | None = None
+    pose: Callable[[], DoubleArray | None] | None = None
 
     @classmethod
     def of(cls, frame: "Frame | FloatArray") -> "Frame":

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
@@ -31,6 +31,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.stages import moving_camera
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.frames.frame import LateFrameError
@@ -63,6 +64,7 @@ from coded_aperture_ros.ros.messages import (
     image_from_array,
     stamp_ns,
 )
+from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
 
 _INFO = "depth/camera_info"
 
@@ -99,6 +101,11 @@ class DepthNodeConfig:
         "How the topics that end in compressedDepth are compressed",
         choices=DEPTH_FORMATS,
         parameter="output.compressed_depth",
+    )
+    fixed_frame: str = option(
+        "odom",
+        "Frame in which the camera moves, of tf or odometry; for temporal.moving_camera: pose",
+        parameter="temporal.fixed_frame",
     )
     obstacle_share: float = option(
         0.005,
@@ -146,17 +153,25 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.get_logger().warning(warning)
         self._gyro = Gyro()
         self._drift = NodeDrift()
-        self._motion_note = ""
+        self._transforms = Transforms()
+        self._motion_note = self._camera_note = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
         if self._finds_motion:
             self.listen("imu", Imu, self._gyro.receive)
+        self._hears_poses = self._takes_poses
+        if self._hears_poses and (missing := listen_to_poses(self.listen, self._transforms)):
+            self.get_logger().warning(f"poses: not all is heard, not installed: {missing}")
         self.begin()
 
     @property
     def _finds_motion(self) -> bool:
         return self.configs[DepthNodeConfig].method == "motion"
+
+    @property
+    def _takes_poses(self) -> bool:
+        return self.configs[DepthConfig].moving_camera == moving_camera.POSE
 
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
@@ -195,9 +210,10 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         super().restart()
         self._restarting.set()
         self._gyro.forget()
+        self._transforms.forget()
 
     def identity(self) -> dict[str, str]:
-        """Keys and values of /diagnostics: camera file, bank, and why the motion is not known."""
+        """Keys and values of /diagnostics: camera file, bank, and what is known of motion."""
         identity = self._model.identity()
         identity["fit_check"] = "on"
         if not self.configs[DepthConfig].check_fit:
@@ -206,6 +222,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             identity["fit_check"] = note
         if self._finds_motion:
             identity["motion"] = self._motion_note and f"all motions tried: {self._motion_note}"
+        if self.configs[DepthConfig].moving_camera:
+            identity["camera_motion"] = self._camera_note
         return identity
 
     def process(self, item: tuple[Image, float]) -> None:
@@ -223,6 +241,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank's levels have no depth: use a bank for this camera file")
         depth_m = limit_depth(estimate.depth_m, *self._range_m)
+        self._camera_note = str(estimate.camera_step or "")
         self._send_maps(estimate, depth_m, header)
         self._send_layers(estimate, header)
         if complaint := driver.complaint(self._model.whole, shape):
@@ -252,7 +271,24 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._finds_motion:
             intrinsics = self._model.camera.intrinsics
             motion = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
-        return dataclasses.replace(frame, view=view, motion=motion)
+        return dataclasses.replace(frame, view=view, motion=motion, pose=self._pose_of(header))
+
+    def _pose_of(self, header: Header) -> Callable[[], DoubleArray | None] | None:
+        """Pose of the camera at a stamp, for when it is needed; None where none is asked for."""
+        if not self._takes_poses:
+            return None
+        if not self._hears_poses:
+            self.get_logger().warning(
+                "temporal.moving_camera: pose has to be set when the node starts: until then the "
+                "motion is found in the frames",
+                once=True,
+            )
+            return None
+        fixed_frame = self.configs[DepthNodeConfig].fixed_frame
+
+        return functools.partial(
+            self._transforms.pose, fixed_frame, header.frame_id, stamp_ns(header)
+        )
 
     @property
     def _range_m(self) -> tuple[float, float]:

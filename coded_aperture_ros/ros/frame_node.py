@@ -10,6 +10,7 @@ from typing import Any, Generic, TypeVar
 
 from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
@@ -134,9 +135,15 @@ class FrameNode(ManagedNode, Generic[Item]):
             post_callback=self._on_jump,
         )
 
-    def listen(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
+    def listen(
+        self,
+        topic: str,
+        message_type: type,
+        callback: Callable[[Any], None],
+        qos: QoSProfile | None = None,
+    ) -> None:
         """Subscribe to an input; under `lazy` only while some output has a subscriber."""
-        self._inputs.add(topic, message_type, callback)
+        self._inputs.add(topic, message_type, callback, qos)
 
     def listen_to_frames(self, topic: str, callback: Callable[[Image, float], None]) -> None:
         """Subscribe to frames, raw or compressed as the parameter `image_transport` says.

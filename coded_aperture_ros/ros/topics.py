@@ -146,7 +146,7 @@ class Outputs:
 
 
 class Inputs:
-    """Subscriptions of a node: sensor data, of which only the newest matters.
+    """Subscriptions of a node, mostly to sensor data, of which only the newest matters.
 
     Parameters
     ----------
@@ -158,19 +158,29 @@ class Inputs:
     def __init__(self, node: Node, local: LocalTopics | None) -> None:
         self._node = node
         self._local = local
-        self._topics: list[tuple[str, type, Callable[[Any], None]]] = []
+        self._topics: list[tuple[str, type, Callable[[Any], None], QoSProfile]] = []
         self._unsubscribers: list[Callable[[], Any]] = []
         # Messages come from the executor and from the threads of the other nodes.
         self._callback_lock = threading.Lock()
 
-    def add(self, topic: str, message_type: type, callback: Callable[[Any], None]) -> None:
-        """Add a topic that is subscribed to whenever the inputs are open."""
+    def add(
+        self,
+        topic: str,
+        message_type: type,
+        callback: Callable[[Any], None],
+        qos: QoSProfile | None = None,
+    ) -> None:
+        """Add a topic that is subscribed to whenever the inputs are open.
+
+        Without a profile it is best effort, and only the newest message is kept.
+        """
+        newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 
         def locked(message: Any) -> None:
             with self._callback_lock:
                 callback(message)
 
-        self._topics.append((topic, message_type, locked))
+        self._topics.append((topic, message_type, locked, qos or newest))
 
     @property
     def are_open(self) -> bool:
@@ -187,12 +197,11 @@ class Inputs:
         """
         with ExitStack() as undo:
             undo.callback(self.close)
-            for topic, message_type, callback in self._topics:
+            for topic, message_type, callback, qos in self._topics:
                 name = self._node.resolve_topic_name(topic)
                 if self._local is not None and self._local.offers(name):
                     self._unsubscribers.append(self._local.subscribe(name, callback))
                     continue
-                qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
                 with _readable_qos_errors(topic):
                     subscription = self._node.create_subscription(
                         message_type, topic, callback, qos, qos_overriding_options=_OVERRIDABLE

@@ -257,13 +257,13 @@ def test_the_stage_in_the_estimator(bank, how, size):
     config = DepthConfig(temporal_frames=8, moving_camera=how, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, CAMERA)
     for pose in WAY[:3]:
-        estimate = estimator.estimate(Frame(seen(pose)[0], pose=pose), size)
+        estimate = estimator.estimate(Frame(seen(pose)[0], pose=lambda pose=pose: pose), size)
     assert estimate.depth_m.shape == (size or VIEW.shape)
     assert np.isfinite(estimate.level).all()
     assert (estimate.std_dev_m > 0).all()
     assert ((estimate.confidence >= 0) & (estimate.confidence <= 1)).all()
     estimator.reset()
-    again = estimator.estimate(Frame(seen(WAY[0])[0], pose=WAY[0]), size)
+    again = estimator.estimate(Frame(seen(WAY[0])[0], pose=lambda: WAY[0]), size)
     alone = DepthEstimator(
         bank, DepthConfig(temporal_frames=8, confidence_threshold=0.0), CAMERA
     ).estimate(Frame(seen(WAY[0])[0]), size)

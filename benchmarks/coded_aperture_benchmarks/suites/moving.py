@@ -83,7 +83,7 @@ def measure(cell: Cell) -> list[Row]:
         takes = config.moving_camera == POSE
         scores, seconds = [], []
         for index, view in enumerate(views):
-            frame = Frame(view.coded, pose=given[index] if takes else None)
+            frame = Frame(view.coded, pose=partial(given.__getitem__, index) if takes else None)
             estimate = estimator.estimate(frame)
             seconds.append(estimate.seconds.get("moving camera", 0.0))
             if index >= _WARM_UP:

@@ -28,9 +28,9 @@ _CRACK_SHARE = 0.5
 
 
 # Log-odds of a confidence that frames have agreed on, and those of being within 5 %, on walks
-# through four rooms made by chance: frames have more errors in common than is reckoned with.
-_BELIEVED = (-9.0, 0.3, 0.7, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 10.0)
-_RIGHT = (-9.0, 0.45, 0.62, 0.75, 1.0, 1.55, 2.15, 2.7, 3.25, 3.8, 5.0)
+# through five rooms made by chance: frames have more errors in common than is reckoned with.
+_BELIEVED = (-9.0, -3.0, -1.3, -0.7, 0.0, 0.5, 1.6, 2.5, 3.25, 4.25, 5.5, 6.5, 7.5, 8.5)
+_RIGHT = (-9.0, -3.5, -1.0, -0.9, 0.48, 0.6, 0.67, 1.0, 1.38, 2.08, 2.82, 3.4, 4.4, 5.5)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -14,7 +14,7 @@ from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 
 # How much two frames of a moving camera tell that agree: their errors have much in common. A camera
 # at rest has the same errors again; frames tell something new when half a window has gone by.
-_AGREEMENT, _NEW_PX = 0.9, 4.0
+_AGREEMENT, _NEW_PX = 0.3, 4.0
 _PARALLAX_AGREEMENT = 0.8
 # Past frames that are kept, and the parallax that is best to compare with, px of the map.
 _KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
@@ -41,6 +41,8 @@ class Step:
         Whether the memory began with this frame, as nothing tells the motion.
     refused : bool
         Whether a pose was given that the frames contradict.
+    told_by_pose : bool
+        Whether the motion is that of poses.
     """
 
     belief: Belief
@@ -48,6 +50,15 @@ class Step:
     motion: Motion | None = None
     begun: bool = False
     refused: bool = False
+    told_by_pose: bool = False
+
+    def __str__(self) -> str:
+        """What tells how the camera has moved, in a few words."""
+        if self.begun:
+            told = "unknown: the memory begins"
+        else:
+            told = "told by the pose" if self.told_by_pose else "found in the frames"
+        return f"{told}, the pose contradicts the frames" if self.refused else told
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,11 +82,13 @@ class _Key:
 class _Moved:
     """Motion since the key frame, [4, 4]; None: unknown.
 
-    `by_landmarks` is what they tell, `refused` whether a given pose contradicts them.
+    `by_landmarks` is what they tell, `given` whether it is that of a pose, and `refused` whether
+    the pose contradicts them.
     """
 
     since: DoubleArray | None
     by_landmarks: Motion | None = None
+    given: bool = False
     refused: bool = False
 
 
@@ -138,7 +151,7 @@ class MovingMemory:
             past = carried(last.step.belief, last.light, smooth, self._view, matrix, self._keep)
             together = fused(past, belief, agreement)
             together = self._with_parallax(together, roots, place)
-            step = Step(together, place, moved.by_landmarks, refused=moved.refused)
+            step = Step(together, place, moved.by_landmarks, False, moved.refused, moved.given)
         self._last = _Last(step, smooth, pose)
         self._seen = (*self._seen, Seen(roots, step.pose))[-_KEPT:]
         self._follow(image, step, moved)
@@ -154,13 +167,14 @@ class MovingMemory:
             given = np.linalg.inv(pose) @ last.given @ key.since
             found = Found.of(key.landmarks, image, self._view, given)
             if found is None:  # nothing contradicts it
-                return _Moved(given)
+                return _Moved(given, given=True)
             near = found.improved(given, self._view)
             if found.disagreement(given, self._view) < _WRONG * near.misfit + _WRONG_BY:
-                return _Moved(given, near)
+                return _Moved(given, near, given=True)
         found = Found.of(key.landmarks, image, self._view, key.since)
         motion = None if found is None else found.motion(self._view)
-        return _Moved(None if motion is None else motion.matrix, motion, given is not None)
+        refused = given is not None
+        return _Moved(None if motion is None else motion.matrix, motion, refused=refused)
 
     def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""

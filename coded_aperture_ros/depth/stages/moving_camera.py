@@ -79,11 +79,11 @@ class MovingCamera(Stage):
             _sampled(work.confidence, size),
         )
         light = cv2.resize(work.grey, size[::-1], interpolation=cv2.INTER_AREA)
-        pose = work.frame.pose if self._takes_poses else None
-        step = self._memory_for(size).add(light, belief, pose)
-        if step.begun:
-            return
-        self._set(work, belief, step, own_inverse, per_level)
+        asked = work.frame.pose if self._takes_poses else None
+        step = self._memory_for(size).add(light, belief, None if asked is None else asked())
+        work.camera_step = step
+        if not step.begun:
+            self._set(work, belief, step, own_inverse, per_level)
 
     def reset(self) -> None:
         """Forget the past frames."""
