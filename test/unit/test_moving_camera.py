@@ -94,7 +94,7 @@ def walk(poses_given, way=WAY, **scene):
 
 def test_pose_and_parallax_make_depth_better():
     steps, errors, alone = walk(WAY)
-    assert errors[-1] < 0.4 * alone[-1]
+    assert errors[-1] < 0.5 * alone[-1]
     assert not any(step.refused for step in steps)
     assert [step.begun for step in steps] == [True] + [False] * 7
 

@@ -16,7 +16,7 @@ from coded_aperture_ros.depth.moving.geometry import Pinhole
 
 # Points that are looked for, by OpenCV: how many, their least quality and distance, px. They are
 # spread: something textured that moves by itself must not have most of them.
-_POINTS, _QUALITY, _APART_PX, _CORNER_PX = 300, 0.0005, 11, 5
+_POINTS, _QUALITY, _APART_PX, _CORNER_PX = 200, 0.0005, 11, 5
 _FEWEST = 20
 _LEAST_CONFIDENCE, _LEAST_INVERSE = 0.3, 0.02
 # Search for them: window and levels of half the size; and how far the way back may miss them, px.
@@ -26,7 +26,7 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _AGREE_PX, _TRIES = 1.0, 100
 # Standard deviation of a found point, px, and what is added to that of its inverse depth, a share.
 _POINT_PX, _DEPTH_SHARE = 0.1, 0.05
-_ROUNDS, _CONVERGED = 8, 1e-7
+_ROUNDS, _CONVERGED = 8, 1e-5
 # Normalised errors from which points count less, and those that are no error of these points. A
 # motion with a larger median of them is none.
 _ROBUST, _OUTLIER, _MOST_MISFIT = 3.0, 9.0, 5.0
@@ -172,8 +172,8 @@ class Found:
 
     def disagreement(self, matrix: DoubleArray, view: Pinhole) -> float:
         """Median of the normalised squared errors under a motion [4, 4]; about 1 if it is right."""
-        errors, weights, _ = _errors(self.landmarks, self.pixels, view, matrix)
-        return float(np.median(np.einsum("ni,nij,nj->n", errors, weights, errors)))
+        errors, _ = _errors(self.landmarks, self.pixels, view, matrix)
+        return float(np.median(np.square(errors).sum(axis=1)))
 
 
 def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> DoubleArray | None:
@@ -199,29 +199,32 @@ def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> Doub
 
 def _errors(
     landmarks: Landmarks, pixels: DoubleArray, view: Pinhole, matrix: DoubleArray
-) -> tuple[DoubleArray, DoubleArray, DoubleArray]:
-    """Errors of the points [n, 2], as rays, their weights [n, 2, 2], and slopes [n, 2, 6].
+) -> tuple[DoubleArray, DoubleArray]:
+    """Normalised errors of the points [n, 2], and their slopes [n, 2, 6].
 
-    The weights are inverse covariances: of the pixels, and of the depths along epipolar lines. The
-    slopes are by translation and rotation.
+    Along a point's epipolar line and across it: only along the line counts how uncertain its depth
+    is. The slopes are by translation and rotation.
     """
-    inverse = landmarks.inverse[:, None]
+    inverse, focal_px = landmarks.inverse, np.array(view.focal_px)
     rays = np.column_stack([view.rays(landmarks.pixels), np.ones(len(inverse))])
-    x, y, z = points = (rays @ matrix[:3, :3].T + inverse * matrix[:3, 3]).T
+    x, y, z = (rays @ matrix[:3, :3].T + inverse[:, None] * matrix[:3, 3]).T
     z = np.maximum(z, 1e-3)
-    zero = np.zeros_like(z)
-    by_point = np.stack([[1 / z, zero, -x / z**2], [zero, 1 / z, -y / z**2]]).transpose(2, 0, 1)
-    along = by_point @ matrix[:3, 3]
-    finest = np.square(_POINT_PX / np.array(view.focal_px))
-    covariance = np.diag(finest) + (
-        landmarks.variance[:, None, None] * along[:, :, None] * along[:, None, :]
-    )
-    turned = np.stack([[zero, points[2], -y], [-points[2], zero, x], [y, -x, zero]])
-    by_motion = np.concatenate(
-        [by_point * inverse[:, None], by_point @ turned.transpose(2, 0, 1)], axis=2
-    )
-    errors = view.rays(pixels) - np.column_stack([x / z, y / z])
-    return errors, np.asarray(np.linalg.inv(covariance), np.float64), by_motion
+    x, y = x / z, y / z
+    zero, one = np.zeros_like(x), np.ones_like(x)
+    # Of the pixel by the point, times its depth; then by translation and rotation.
+    by_point = np.array([[one, zero, -x], [zero, one, -y]]) * focal_px[:, None, None]  # [2, 3, n]
+    by_turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x]])
+    by_motion = np.concatenate([by_point * (inverse / z), by_turn * focal_px[:, None, None]], 1)
+    along = np.einsum("ain,i->an", by_point, matrix[:3, 3]) / z
+    length = np.hypot(*along)
+    across = np.divide(along, length, out=np.stack([one, zero]), where=length > 0)
+    axes = np.array([across, [-across[1], across[0]]])  # [2 axes, 2, n]
+    deviations = np.sqrt(_POINT_PX**2 + np.stack([landmarks.variance * length**2, zero]))
+    axes = axes / deviations[:, None]
+    errors = pixels.T - (np.stack([x, y]) * focal_px[:, None] + np.array(view.centre)[:, None])
+    normalised = (axes * errors).sum(1).T
+    slopes = (axes[:, :, None] * by_motion).sum(1).transpose(2, 0, 1)
+    return normalised, np.ascontiguousarray(slopes)
 
 
 def _improved(
@@ -229,11 +232,12 @@ def _improved(
 ) -> Motion:
     """Likeliest motion near a first one; outliers count less (Cauchy's weights)."""
     for _ in range(_ROUNDS):
-        errors, weights, slopes = _errors(landmarks, pixels, view, matrix)
-        normalised = np.einsum("ni,nij,nj->n", errors, weights, errors)
-        weights = weights / (1 + normalised / _ROBUST**2)[:, None, None]
-        information = np.einsum("nia,nij,njb->ab", slopes, weights, slopes)
-        pull = np.einsum("nia,nij,nj->a", slopes, weights, errors)
+        errors, slopes = _errors(landmarks, pixels, view, matrix)
+        squares = np.square(errors).sum(axis=1)
+        weights = 1 / np.sqrt(1 + squares / _ROBUST**2)
+        slopes = (slopes * weights[:, None, None]).reshape(-1, 6)
+        information = slopes.T @ slopes
+        pull = slopes.T @ (errors * weights[:, None]).ravel()
         change = np.linalg.lstsq(information, pull, rcond=1e-12)[0]
         turn = cv2.Rodrigues(change[3:])[0]
         matrix = matrix.copy()
@@ -241,5 +245,5 @@ def _improved(
         matrix[:3, :3] = turn @ matrix[:3, :3]
         if np.abs(change).max() < _CONVERGED:
             break
-    share, misfit = float((normalised < _OUTLIER).mean()), float(np.median(normalised))
+    share, misfit = float((squares < _OUTLIER).mean()), float(np.median(squares))
     return Motion(matrix, np.linalg.pinv(information), share, misfit)
