@@ -14,7 +14,9 @@ from coded_aperture_ros.io.messages import luminance
 from coded_aperture_ros.optics import Camera, Mask
 
 _FOCAL_LENGTH_PX, _SIZE = 600.0, (480, 640)
-_RANGE_M, _BLUR_PX = (0.8, 7.0), (2.0, 16.0)
+# The depths that walks through rooms are made for.
+WALKING_RANGE_M = (0.8, 7.0)
+_BLUR_PX = (2.0, 16.0)
 _EVERY_FRAME = 10_000
 
 # The sharp frame, the true depth, m, and the coded frame without noise.
@@ -45,14 +47,14 @@ class Walk:
     views: Iterable[View]
 
 
-def walking_camera(mask: Mask) -> tuple[Camera, tuple[float, float]]:
-    """Return the camera of walks through rooms, and the depths that it is made for, m."""
-    return camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, _RANGE_M, _BLUR_PX), _RANGE_M
+def walking_camera(mask: Mask) -> Camera:
+    """Return the camera of walks through rooms."""
+    return camera_for_blur(mask, _FOCAL_LENGTH_PX, _SIZE, WALKING_RANGE_M, _BLUR_PX)
 
 
 def through_room(seed: int, length_m: float, step_m: float, mask: Mask) -> Walk:
     """Return a walk through a room made by chance, all of it beyond the focus."""
-    camera, range_m = walking_camera(mask)
+    camera = walking_camera(mask)
     poses = walk(seed, length_m, step_m)
 
     def views() -> Iterator[View]:
@@ -60,7 +62,7 @@ def through_room(seed: int, length_m: float, step_m: float, mask: Mask) -> Walk:
         for pose in poses:
             yield *room.seen(camera, pose), room.coded(camera, pose)
 
-    return Walk(camera, range_m, poses, len(poses), views())
+    return Walk(camera, WALKING_RANGE_M, poses, len(poses), views())
 
 
 def of_video(folder: Path, mask_name: str) -> Walk:

@@ -5,6 +5,7 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -12,14 +13,16 @@ from numpy.typing import NDArray
 
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.room import Room, box_boards, random_room, walk
-from coded_aperture_benchmarks.datasets.walks import walking_camera
+from coded_aperture_benchmarks.datasets.walks import WALKING_RANGE_M, walking_camera
 from coded_aperture_benchmarks.methods.depth import CameraBank
+from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
-from coded_aperture_ros.frames import Frame
+from coded_aperture_ros.frames import SRGB, Frame
+from coded_aperture_ros.io import depth_picture, write_image
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
 from coded_aperture_ros.simulation import SensorModel
 
@@ -34,6 +37,8 @@ _TITLES = {
     POSE: "moving_camera: pose",
     DRIFTING: "the same, a pose that drifts by 1 %",
 }
+_TRUTH, _WIDTH_PX = "truth", 1600
+_DRAWN = (_TRUTH, SINGLE, FRAMES, POSE)
 _DRIFT, _RIGHT, _EDGE_PX, _AROUND_PX = 0.01, 0.1, 12, 24
 _MOST_ERROR = 10.0
 # What moves by itself: a box, so large, before the middle of the way, so far at a step, m.
@@ -63,19 +68,28 @@ class _View:
     moving: BoolArray
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Measured:
+    """Rows of a walk, its last frame, and the depth of that: true, and in every way."""
+
+    rows: list[Row]
+    coded: FloatArray
+    depths_m: dict[str, FloatArray]
+
+
 def _cells(args: argparse.Namespace) -> list[Cell]:
     options.check_known(args, "mask", [args.mask], MASK_NAMES)
     how = args.frames, args.step, args.memory, args.noise, args.mask, args.mover
     return [Cell(args.first_room + index, *how) for index in range(args.rooms)]
 
 
-def measure(cell: Cell) -> list[Row]:
+def measure(cell: Cell) -> Measured:
     """Walk once, and estimate the depth of its frames in every way."""
-    camera, range_m = walking_camera(Mask.named(cell.mask))
+    camera = walking_camera(Mask.named(cell.mask))
     views = list(_views(cell, camera))
-    bank = CameraBank.guarded(camera, range_m, 30).learn()
+    bank = CameraBank.guarded(camera, WALKING_RANGE_M, 30).learn()
     poses = np.stack([view.pose for view in views])
-    rows = []
+    rows, depths_m = [], {_TRUTH: views[-1].depth_m}
     for name in _TITLES:
         config = _config(name, cell.memory)
         estimator = DepthEstimator(bank, config, camera)
@@ -89,11 +103,12 @@ def measure(cell: Cell) -> list[Row]:
             if index >= _WARM_UP:
                 scores.append(_score(estimate, view))
         estimator.close()
+        depths_m[name] = np.asarray(estimate.depth_m)
         keys = scores[0].keys()
         row = {key: mean_of([score[key] for score in scores], 4) for key in keys}
         ms = round(1e3 * float(np.median(seconds)), 2)
         rows.append({"room": cell.room, "told": name, **row, "stage_ms": ms})
-    return rows
+    return Measured(rows, views[-1].coded, depths_m)
 
 
 def _config(name: str, memory: float) -> DepthConfig:
@@ -179,8 +194,8 @@ def _grown(where: BoolArray, by_px: int) -> BoolArray:
     return np.asarray(cv2.dilate(where.astype(np.uint8), square) > 0)
 
 
-def _results(_: argparse.Namespace, measured: list[list[Row]]) -> Row:
-    rows = [row for each in measured for row in each]
+def _results(_: argparse.Namespace, measured: list[Measured]) -> Row:
+    rows = [row for each in measured for row in each.rows]
     shown = [key for key in rows[0] if key not in ("room", "told")]
     pooled = [
         {"told": told, **{key: mean_of((row[key] for row in group), 4) for key in shown}}
@@ -221,6 +236,17 @@ def _text(results: Row) -> str:
     return "\n\n".join(parts)
 
 
+def _draw(_: options.Args, measured: list[Measured], folder: Path) -> None:
+    for each in measured:
+        panels = [("coded", [as_rgb(each.coded, SRGB)])] + [
+            (name, [depth_picture(depth_m, *WALKING_RANGE_M)[: depth_m.shape[0]]])
+            for name, depth_m in each.depths_m.items()
+            if name in _DRAWN
+        ]
+        room = each.rows[0]["room"]
+        write_image(folder / f"room_{room}.jpg", of_width(side_by_side(panels), _WIDTH_PX))
+
+
 SUITE = Suite(
     name="moving",
     said=("frames", "step", "memory", "noise", "mask", "mover"),
@@ -248,4 +274,5 @@ SUITE = Suite(
     measure=measure,
     results=_results,
     text=_text,
+    draw=_draw,
 )
