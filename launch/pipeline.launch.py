@@ -32,6 +32,13 @@ PARAMETERS = (
     ("near_m", float, "Nearest depth in metres; needed without a bank", MODEL_USERS),
     ("far_m", float, "Farthest depth in metres; needed without a bank", MODEL_USERS),
     ("free_space.risk", float, "Risk of the free-space bound; 0: no bound", ("depth_node",)),
+    (
+        "temporal.moving_camera",
+        str,
+        "What tells how the camera moves: frames, or pose (odometry, tf); empty: nothing",
+        ("depth_node",),
+    ),
+    ("temporal.fixed_frame", str, "Frame of odometry or tf in which it moves", ("depth_node",)),
 )
 ARGUMENTS = (
     ("namespace", "", "Namespace of all nodes"),
