@@ -14,6 +14,7 @@ from coded_aperture_ros.depth.stages import (
     decode,
     free_space,
     likelihood,
+    moving_camera,
     observe,
     quality_of_fit,
     second_surface,
@@ -27,6 +28,7 @@ from coded_aperture_ros.likelihood import check_backend
 @dataclasses.dataclass(frozen=True)
 class _TypedOptions(
     quality_of_fit.Config,
+    moving_camera.Config,
     temporal.Config,
     second_surface.Config,
     free_space.Config,

@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.datasets.video import check_rgbd_video
 from coded_aperture_benchmarks.datasets.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.figures import seen_from_above
 from coded_aperture_benchmarks.methods.depth import CameraBank
-from coded_aperture_benchmarks.metrics.trajectories import Tracker, tracked, write_tum
+from coded_aperture_benchmarks.metrics.trajectories import Followed, Tracker, tracked, write_tum
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -22,6 +22,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth.moving import Step
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
@@ -33,6 +34,7 @@ _SEGMENT_M = 1.0
 _SHOWN, _WIDTH_PX = 4, 1600
 # What odometry is given, and what it is called.
 TRUE, SAME_PIXELS, OURS, ALL, CODED = "true", "true, same pixels", "ours", "ours, all", "coded"
+FOLLOWED = "followed"
 _TITLES = {
     TRUE: "sharp frame, true depth",
     SAME_PIXELS: "sharp frame, true depth where ours is known",
@@ -40,6 +42,8 @@ _TITLES = {
     ALL: "all-in-focus frame, depth of every pixel",
     CODED: "coded frame, depth as published",
 }
+# Without Open3D: what the estimate itself tells of the motion.
+_ALL_TITLES = {**_TITLES, FOLLOWED: "nothing else: moving_camera: frames"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,10 +97,11 @@ def measure(cell: Cell) -> Measured:
     """Walk, and follow the way by everything that odometry may be given."""
     walk = cell.walk()
     trackers = {name: Tracker(walk.camera) for name in _TITLES}
-    shown, errors, known = [], [], []
+    shown, errors, known, followed = [], [], [], Followed()
     every = -(-walk.count // _SHOWN)
-    for index, frames in enumerate(_frames(cell, walk)):
+    for index, (frames, step) in enumerate(_frames(cell, walk)):
         sharp, true_m, coded, clear, depth_m, every_m = frames
+        followed.add(step)
         published = np.isfinite(depth_m)
         given = {
             TRUE: (sharp, true_m),
@@ -114,6 +119,7 @@ def measure(cell: Cell) -> Measured:
         if index % every == 0:
             shown.append((sharp, coded, clear, true_m, every_m))
     poses = {name: tracker.poses() for name, tracker in trackers.items()}
+    poses[FOLLOWED] = followed.poses()
     # Of a video nothing tells the way but odometry with its own depth.
     true = poses.pop(TRUE) if walk.poses is None else walk.poses
     of_depth = {"depth_error": mean_of(errors, 4), "known": mean_of(known, 3)}
@@ -121,18 +127,23 @@ def measure(cell: Cell) -> Measured:
         {"walk": cell.name, "given": name, "frames": len(true)}
         | tracked(true, found, _SEGMENT_M)
         | (of_depth if name == OURS else {})
+        | ({"lost": followed.lost} if name == FOLLOWED else {})
         for name, found in poses.items()
     ]
     return Measured(cell, rows, {"truth": true} | poses, shown, walk.range_m)
 
 
-def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[FloatArray, ...]]:
-    """Yield of every pose the sharp frame, true depth, coded and all-in-focus frame, and depths."""
+def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[tuple[FloatArray, ...], Step]]:
+    """Yield of every pose what odometry is given, and what the estimate tells of the motion.
+
+    That is the sharp frame, true depth, coded and all-in-focus frame, and depths.
+    """
     camera, random = walk.camera, np.random.default_rng(cell.room)
     sensor = SensorModel(cell.noise)
     bank = CameraBank.guarded(camera, walk.range_m, 30).learn()
     config = DepthConfig(temporal_frames=VIDEO_FRAMES, confidence_threshold=0.0)
     estimator = DepthEstimator(bank, config, camera)
+    following = DepthEstimator(bank, dataclasses.replace(config, moving_camera="frames"), camera)
     deblurrer = Deblurrer(bank.stack, DeblurConfig(method="fast"))
     threshold = DepthConfig().confidence_threshold
     for light, true_m, coded_light in walk.views:
@@ -140,15 +151,12 @@ def _frames(cell: Cell, walk: Walk) -> Iterator[tuple[FloatArray, ...]]:
         estimate = estimator.estimate(coded)
         published = estimate.where_confident(threshold)
         clear = deblurrer.deblur(coded, published.blur_size_px)
-        yield (
-            sharp,
-            true_m,
-            coded,
-            clear,
-            np.asarray(published.depth_m),
-            np.asarray(estimate.depth_m),
-        )
+        depths = np.asarray(published.depth_m), np.asarray(estimate.depth_m)
+        step = following.estimate(coded).camera_step
+        assert step is not None  # `moving_camera` is set
+        yield (sharp, true_m, coded, clear, *depths), step
     estimator.close()
+    following.close()
     deblurrer.close()
 
 
@@ -172,7 +180,7 @@ def _results(args: argparse.Namespace, measured: list[Measured]) -> Row:
 
 def _text(results: Row) -> str:
     shown = {
-        "odometry is given": lambda row: _TITLES[row["given"]],
+        "odometry is given": lambda row: _ALL_TITLES[row["given"]],
         "drift": lambda row: f"{100 * row['drift_per_m']:.1f} %",
         "turned, degrees a metre": "{turn_per_m_deg:.2f}",
         "length of a step": "{scale:.3f}",
