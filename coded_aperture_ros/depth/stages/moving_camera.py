@@ -10,7 +10,7 @@ from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Step
+from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
 from coded_aperture_ros.optics import Camera
@@ -64,6 +64,8 @@ class MovingCamera(Stage):
 
     def __init__(self, levels: Levels, camera: Camera, frames: float, takes_poses: bool) -> None:
         self._levels, self._camera = levels, camera
+        # Inverse depth of every level on the axis, 1/m, float64 [L].
+        self._table = np.nan_to_num(1 / np.asarray(levels.depths_m), nan=0.0)
         self._frames, self._takes_poses = frames, takes_poses
         self._memory: tuple[Shape, MovingMemory] | None = None
 
@@ -71,19 +73,29 @@ class MovingCamera(Stage):
         """Change level, deviation and confidence to those of all frames so far."""
         shape = work.level.shape
         size = min(shape[0], _LARGEST[0]), min(shape[1], _LARGEST[1])
-        own_inverse = self._inverse(work.level)
-        per_level = self._per_level(work.level)
-        belief = Belief(
-            _sampled(own_inverse, size),
-            _sampled(np.square(work.deviation * per_level), size),
-            _sampled(work.confidence, size),
+        level, deviation, confidence = (
+            _resized(values, size) for values in (work.level, work.deviation, work.confidence)
         )
+        inverse, per_level = self._inverse(level), self._per_level(level)
+        own = Belief(inverse, np.square(deviation * per_level), confidence)
         light = cv2.resize(work.grey, size[::-1], interpolation=cv2.INTER_AREA)
         asked = work.frame.pose if self._takes_poses else None
-        step = self._memory_for(size).add(light, belief, None if asked is None else asked())
+        step = self._memory_for(size).add(light, own, None if asked is None else asked())
         work.camera_step = step
-        if not step.begun:
-            self._set(work, belief, step, own_inverse, per_level)
+        if step.begun:
+            return
+        found = step.belief
+        change = found.inverse - inverse
+        # The inverse depth is linear in the level, but for what the field of the lens adds.
+        new_level = self._level(self._axial_inverse(level) + change)
+        same = np.abs(change) <= _SAME * np.maximum(found.inverse, inverse)
+        # Edges stay where this frame has them, if little else has changed.
+        moved = work.level + _resized(new_level - level, shape)
+        is_same = _resized(same.astype(np.float32), shape) > 0
+        work.level = np.where(is_same, moved, _resized(new_level, shape))
+        deviation = np.sqrt(found.variance) / per_level
+        work.deviation = _resized(np.asarray(deviation, np.float32), shape)
+        work.confidence = _resized(found.published_confidence, shape)
 
     def reset(self) -> None:
         """Forget the past frames."""
@@ -95,62 +107,31 @@ class MovingCamera(Stage):
             self._memory = size, MovingMemory(view, self._frames)
         return self._memory[1]
 
-    def _set(
-        self, work: Work, own: Belief, step: Step, own_inverse: FloatArray, per_level: FloatArray
-    ) -> None:
-        """Write what was found into the maps, whose edges stay where little has changed."""
-        shape, found = work.level.shape, step.belief
-        change, inverse, variance, confidence = (
-            _enlarged(values, shape)
-            for values in (
-                found.inverse - own.inverse,
-                found.inverse,
-                found.variance,
-                found.published_confidence,
-            )
-        )
-        same = np.abs(change) <= _SAME * np.maximum(inverse, own_inverse)
-        inverse = np.asarray(np.where(same, own_inverse + change, inverse), np.float32)
-        # The inverse depth is linear in the level, but for what the field of the lens adds.
-        tables = self._tables
-        axial = np.interp(work.level, np.arange(len(tables)), tables) + inverse - own_inverse
-        order = np.argsort(tables)
-        level = np.interp(axial, tables[order], order.astype(np.float64))
-        work.level = np.asarray(level, np.float32)
-        deviation = np.sqrt(variance) / np.maximum(per_level, np.float32(1e-6))
-        work.deviation = np.asarray(deviation, np.float32)
-        work.confidence = confidence
-
     def _inverse(self, level: FloatArray) -> FloatArray:
         """Inverse depth of every pixel, 1/m; 0 at infinity."""
         depth_m = self._levels.depth_m(level)
         assert depth_m is not None  # `make` has looked
         return np.asarray(np.nan_to_num(1 / depth_m, nan=0.0), np.float32)
 
+    def _axial_inverse(self, level: FloatArray) -> DoubleArray:
+        """The same if all pixels were on the axis."""
+        return np.interp(level, np.arange(len(self._table)), self._table)
+
+    def _level(self, axial_inverse: DoubleArray) -> FloatArray:
+        """Level of an inverse depth on the axis; the inverse of `_axial_inverse`."""
+        order = np.argsort(self._table)
+        return np.interp(axial_inverse, self._table[order], order).astype(np.float32)
+
     def _per_level(self, level: FloatArray) -> FloatArray:
         """Change of the inverse depth from level to level, 1/m, at least a little."""
-        tables = self._tables
-        slopes = np.abs(np.gradient(tables)).astype(np.float32)
+        slopes = np.abs(np.gradient(self._table)).astype(np.float32)
         slopes = np.maximum(slopes, slopes.max() * np.float32(0.05))
         return np.asarray(slopes.take(np.rint(level).astype(np.intp), mode="clip"))
 
-    @property
-    def _tables(self) -> DoubleArray:
-        """Inverse depth of every level on the axis, 1/m, float64 [L]."""
-        depths_m = self._levels.depths_m
-        assert depths_m is not None  # `make` has looked
-        return np.nan_to_num(1 / depths_m, nan=0.0)
 
-
-def _sampled(values: FloatArray, size: Shape) -> FloatArray:
-    """Values of every second pixel, or so: means would mix what is before an edge and behind it."""
-    if values.shape == size:
+def _resized(values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """Values of the nearest pixels: means would mix what is before an edge and behind it."""
+    if values.shape == shape:
         return np.asarray(values, np.float32)
-    sampled: FloatArray = cv2.resize(
-        np.asarray(values, np.float32), size[::-1], interpolation=cv2.INTER_NEAREST
-    )
-    return sampled
-
-
-def _enlarged(values: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    return _sampled(values, (shape[0], shape[1]))
+    size = shape[1], shape[0]
+    return np.asarray(cv2.resize(values, size, interpolation=cv2.INTER_NEAREST), np.float32)
