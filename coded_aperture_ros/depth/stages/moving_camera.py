@@ -92,7 +92,8 @@ class MovingCamera(Stage):
         # Edges stay where this frame has them, if little else has changed.
         moved = work.level + _resized(new_level - level, shape)
         is_same = _resized(same.astype(np.float32), shape) > 0
-        work.level = np.where(is_same, moved, _resized(new_level, shape))
+        new = np.where(is_same, moved, _resized(new_level, shape))
+        work.level = np.asarray(new, np.float32)
         deviation = np.sqrt(found.variance) / per_level
         work.deviation = _resized(np.asarray(deviation, np.float32), shape)
         work.confidence = _resized(found.published_confidence, shape)
