@@ -101,6 +101,11 @@ class Plan:
         return None if known else camera
 
     @property
+    def finds_motion(self) -> bool:
+        """Whether the model tells motion blur from defocus."""
+        return getattr(self.model, "finds_motion", False)
+
+    @property
     def reliability(self) -> tuple[float, ...]:
         """See `FilterBank`; empty for other models."""
         return getattr(self.model, "reliability", ())

@@ -17,7 +17,7 @@ MOTION_CONFIDENCE = LayerSpec(
     "motion/confidence", "Probability that the motion is about right.", unit="", kind="probability"
 )
 LAYERS: tuple[LayerSpec, ...] = (MOTION, MOTION_CONFIDENCE)
-WHEN = ""
+WHEN = "finds_motion"
 
 
 def make(plan: Plan, config: object) -> Stage:

@@ -94,8 +94,8 @@ class MovingCamera(Stage):
         is_same = _resized(same.astype(np.float32), shape) > 0
         new = np.where(is_same, moved, _resized(new_level, shape))
         work.level = np.asarray(new, np.float32)
-        deviation = np.sqrt(found.variance) / per_level
-        work.deviation = _resized(np.asarray(deviation, np.float32), shape)
+        spread = np.asarray(np.sqrt(found.variance) / per_level, np.float32)
+        work.deviation = _resized(spread, shape)
         work.confidence = _resized(found.published_confidence, shape)
 
     def reset(self) -> None:

@@ -1,6 +1,7 @@
 """Likelihood of depth and motion together (thesis chapter 7)."""
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -49,6 +50,7 @@ class MotionModel:
 
     bank: MotionBank
     config: MotionConfig = dataclasses.field(default_factory=MotionConfig)
+    finds_motion: ClassVar[bool] = True
 
     def for_view(self, camera: Camera | None) -> "MotionModel":
         """Model itself: its PSFs do not change over the image."""
