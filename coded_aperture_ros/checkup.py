@@ -181,6 +181,7 @@ def bank_findings(bank: FilterBank) -> list[Finding]:
 
 def _not_covered(bank: FilterBank) -> list[str]:
     stack = bank.stack
+    uneven = stack.nominal and not grows_evenly(stack)
     reason, unchecked = unsupported_reason(bank, bank.stride_px), unchecked_reason(stack)
     return [
         text
@@ -190,10 +191,10 @@ def _not_covered(bank: FilterBank) -> list[str]:
             ("confidence is that of masks", not (stack.in_pixels or bank.reliability)),
             ("levels in place of metres", stack.depths_m is None),
             ("sizes are not those of a mask: no views, no other focus", stack.nominal),
+            ("PSFs do not grow evenly by level: occlusion at depth edges is not modelled", uneven),
             (
-                "PSFs do not grow evenly by level: the check of fit knows masks only, and "
-                "occlusion at depth edges is not modelled",
-                stack.nominal and not grows_evenly(stack),
+                "the check of fit knows masks only: learn the bank again",
+                uneven and not bank.own_fit,
             ),
         )
         if applies
@@ -231,7 +232,7 @@ class FrameCheckup:
             estimate = self._pipeline(frame)
         except InputError as error:
             return [*found, _failed("frame", error)]
-        return [*found, self._noise(estimate), _fit(estimate), _known(estimate)]
+        return [*found, self._noise(estimate), self._fit(estimate), _known(estimate)]
 
     def close(self) -> None:
         """End the pipeline's threads."""
@@ -254,6 +255,15 @@ class FrameCheckup:
             numbers,
         )
 
+    def _fit(self, estimate: DepthEstimate) -> Finding:
+        health = estimate.health
+        if health is None:
+            reason = unchecked_reason(self._bank.stack) or "the frame has too little texture"
+            return Finding("fit", WARNING, f"not checked: {reason}")
+        numbers = {"health": health.value, "cause": health.cause}
+        remedy = "" if health.fits else CAUSE_TEXTS[health.cause].partition(": ")[2]
+        return Finding("fit", OK if health.fits else FAILED, str(health), remedy, numbers)
+
 
 def _failed(about: str, error: InputError) -> Finding:
     text, _, remedy = str(error).rpartition(": ")
@@ -270,15 +280,6 @@ def _saturation(frame: FloatArray) -> Finding:
         remedy = "expose longer, or lower the black level: what is cut off is lost"
     text = f"{100 * share:.1f} % saturated, {100 * black:.1f} % black"
     return Finding("light", state, text, remedy, {"saturated": share, "black": black})
-
-
-def _fit(estimate: DepthEstimate) -> Finding:
-    health = estimate.health
-    if health is None:
-        return Finding("fit", OK, "cannot be told for this bank")
-    numbers = {"health": health.value, "cause": health.cause}
-    remedy = "" if health.fits else CAUSE_TEXTS[health.cause].partition(": ")[2]
-    return Finding("fit", OK if health.fits else FAILED, str(health), remedy, numbers)
 
 
 def _known(estimate: DepthEstimate) -> Finding:

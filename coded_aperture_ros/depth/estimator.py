@@ -276,7 +276,7 @@ def model_notes(
 
 def unchecked_note(model: LikelihoodModel) -> str | None:
     """Note for users if frames cannot be checked against a model, and why; else None."""
-    reason = "the method has no filter bank"
+    reason = "only banks without motion have a check"
     if isinstance(model, FilterBank):
         reason = unchecked_reason(model.stack)
     return f"frames are not checked for fit: {reason}" if reason else None

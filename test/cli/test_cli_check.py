@@ -131,8 +131,10 @@ def test_a_bank_alone(scene, tmp_path, capsys):
     stack = load_bank(scene.bank).stack
     index = dataclasses.replace(stack, in_pixels=False, depths_m=None)
     nominal = dataclasses.replace(stack, nominal=True)
+    wide = dataclasses.replace(stack, blur_sizes_px=4 * stack.blur_sizes_px)
     for name, one, phrases in (
-        ("index", index, ("no refinement", "no check of fit", "levels in place of metres")),
+        ("index", index, ("no refinement", "confidence is that of masks", "levels in place of")),
+        ("wide", wide, ("no refinement", "frames are not checked: its blur of")),
         ("nominal", nominal, ("(nominal)", "no views, no other focus")),
     ):
         file = tmp_path / f"{name}.npz"
@@ -152,6 +154,18 @@ def test_frames_are_checked_against_a_bank_alone(scene, capsys):
     assert result.status == 0
     (frame,) = (found for name, found in findings(result).items() if name != "bank")
     assert frame["size"] == frame["noise"] == frame["fit"] == "ok"
+
+
+def test_frames_that_cannot_be_checked_are_told(scene, tmp_path, capsys, caplog):
+    bank = load_bank(scene.bank)
+    wide = dataclasses.replace(bank.stack, blur_sizes_px=4 * bank.stack.blur_sizes_px)
+    save_bank(dataclasses.replace(bank, stack=wide), tmp_path / "wide.npz")
+    result = call(capsys, "check", "--bank", tmp_path / "wide.npz", scene.coded_npy)
+    assert "fit: not checked: its blur of" in result.out
+    call(
+        capsys, "depth", "--bank", tmp_path / "wide.npz", scene.coded_npy, "-o", tmp_path / "d.npy"
+    )
+    assert "frames are not checked for fit: its blur of" in caplog.text
 
 
 @pytest.mark.parametrize(

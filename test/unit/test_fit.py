@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator, Health
+from coded_aperture_ros.depth import (
+    CAUSES,
+    DepthConfig,
+    DepthEstimator,
+    Health,
+    model_notes,
+    unchecked_note,
+)
 from coded_aperture_ros.depth.quality import FitCheck, evidence, unchecked_reason
 from coded_aperture_ros.depth.quality.evidence import HypothesisTest
 from coded_aperture_ros.depth.quality.spectra import (
@@ -25,7 +32,8 @@ from coded_aperture_ros.depth.quality.spectra import (
 )
 from coded_aperture_ros.depth.quality.statistics import frame_statistics
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank
-from coded_aperture_ros.optics import Mask, PsfStack, render_psf, render_psf_stack
+from coded_aperture_ros.likelihood.choose import new_model
+from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
 SIZES_PX = np.arange(2.0, 18.0, 0.55)
@@ -315,7 +323,29 @@ def test_psfs_without_sizes_are_checked_by_their_widths(stack, scene, levin):
     assert equivalent_sizes_px(unknown) == pytest.approx(stack.blur_sizes_px, rel=0.2)
     bank = learn_bank(unknown, LearnConfig(window_px=48))
     fits = health_of(bank, recorded(scene.coded())).health
-    other = health_of(bank, recorded(scene.coded(Mask.named("zhou")))).health
+    other = health_of(bank, recorded(scene.coded(Mask.named("disc")))).health
     assert fits.fits and not other.fits
     wide = dataclasses.replace(unknown, psfs=np.ones((len(stack), 61, 61), np.float32) / 61**2)
     assert "above 22.5 px" in unchecked_reason(wide)
+
+
+def test_users_are_told_what_is_not_checked(stack, bank):
+    few = learn_bank(PsfStack(stack.blur_sizes_px[:2], stack.psfs[:2]), LearnConfig(window_px=48))
+    told = "frames are not checked for fit: its 2 levels are fewer than 3"
+    assert told in model_notes(few, DepthConfig(), None)
+    assert told not in model_notes(few, DepthConfig(check_fit=False), None)
+    assert model_notes(bank, DepthConfig(), None) == []
+    assert unchecked_note(new_model("motion", bank=bank)).endswith("without motion have a check")
+    lens = Camera(800.0, 0.6, 640, 480, Mask.named("levin"), 8.0, focal_length_mm=16.0)
+    (note,) = model_notes(bank, DepthConfig(), lens)
+    assert "away from the axis is doubted" in note
+
+
+def test_a_bank_s_own_check_replaces_health_only(bank, scene):
+    frame = recorded(scene.coded())
+    usual = health_of(bank, frame).health
+    terms = len(CAUSES) + 1 + len(NAMES)
+    never = dataclasses.replace(bank, own_fit=(-5.0, *[0.0] * terms))
+    same = dataclasses.replace(bank, own_fit=(0.0, 1.0, *[0.0] * (terms - 1)))
+    assert health_of(never, frame).health.value == pytest.approx(1 / (1 + np.exp(5)), abs=1e-4)
+    assert health_of(same, frame).health.value == pytest.approx(usual.value, abs=1e-5)
