@@ -198,10 +198,12 @@ class DriftWatch:
                 f"the mask looks turned by {abs(angle):.0f} degrees {way}: put it in as the camera "
                 "file has it"
             )
-        health = float(np.nanmean([minute.health for minute in self._minutes]))
+        known = [minute.health for minute in self._minutes if math.isfinite(minute.health)]
+        health = float(np.mean(known)) if known else math.nan
         if math.isnan(self._first_health):
             self._first_health = health
-        if health < min(self._first_health - _LEAST_LOSS, _LOW_HEALTH):
+        # Neither holds for NaN.
+        if health < self._first_health - _LEAST_LOSS and health < _LOW_HEALTH:
             found["health"] = (
                 f"health is {health:.2f} in place of {self._first_health:.2f} at first: look for "
                 "what has moved"

@@ -27,11 +27,16 @@ class NodeDrift:
         self._model: LikelihoodModel | None = None
 
     def use(self, model: LikelihoodModel) -> None:
-        """Take a bank for the frames to come; the watch begins anew with another one."""
+        """Take a bank for the frames to come; the watch begins anew with another one.
+
+        Of PSFs without sizes it is not known where parts of the mask are: they are not watched.
+        """
         if model is self._model:
             return
         self._model, self._watch = model, None
-        if isinstance(model, FilterBank) and not unchecked_reason(model.stack):
+        if not isinstance(model, FilterBank) or model.stack.nominal or not model.stack.in_pixels:
+            return
+        if not unchecked_reason(model.stack):
             self._watch = DriftWatch(model.stack, middle_only=model.field is not None)
 
     def see(

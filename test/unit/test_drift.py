@@ -153,6 +153,12 @@ def test_a_change_that_goes_is_not_told_any_more(watch):
     assert watch.drift is None
 
 
+def test_frames_without_a_health_are_compared_all_the_same(watch):
+    then_s = minutes_of(watch, look(), health=np.nan)
+    minutes_of(watch, look(angle=8.0), then_s, np.nan, minutes=8)
+    assert "turned by 8 degrees" in watch.drift.text
+
+
 def test_minutes_with_few_frames_do_not_count(watch):
     for second in range(0, 1200, 10):
         watch.add(float(second), 0.9, look(angle=6.0))
