@@ -9,6 +9,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
@@ -31,6 +32,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.moving import Trajectory
 from coded_aperture_ros.depth.stages import moving_camera
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
@@ -62,11 +64,12 @@ from coded_aperture_ros.ros.messages import (
     cloud_from_points,
     compressed_message,
     image_from_array,
+    odometry_from_place,
     stamp_ns,
 )
 from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
 
-_INFO = "depth/camera_info"
+_INFO, _ODOMETRY = "depth/camera_info", "depth/odometry"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +120,7 @@ class DepthNodeConfig:
 
 def output_types() -> dict[str, type]:
     """Message type of every topic that the node publishes; layers come from the stages of depth."""
-    types = {_INFO: CameraInfo}
+    types: dict[str, type] = {_INFO: CameraInfo, _ODOMETRY: Odometry}
     for spec in (*CORE_MAPS, *layer_specs()):
         types[spec.topic] = Image
         if spec.points_topic:
@@ -154,6 +157,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._gyro = Gyro()
         self._drift = NodeDrift()
         self._transforms = Transforms()
+        self._trajectory, self._moved_ns = Trajectory(), 0
         self._motion_note = self._camera_note = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
@@ -162,7 +166,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.listen("imu", Imu, self._gyro.receive)
         self._hears_poses = self._takes_poses
         if self._hears_poses and (missing := listen_to_poses(self.listen, self._transforms)):
-            self.get_logger().warning(f"poses: not all is heard, not installed: {missing}")
+            self.get_logger().warning(f"poses: of odometry alone, not of tf: no package {missing}")
         self.begin()
 
     @property
@@ -241,7 +245,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank's levels have no depth: use a bank for this camera file")
         depth_m = limit_depth(estimate.depth_m, *self._range_m)
-        self._camera_note = str(estimate.camera_step or "")
+        self._send_odometry(estimate, header)
         self._send_maps(estimate, depth_m, header)
         self._send_layers(estimate, header)
         if complaint := driver.complaint(self._model.whole, shape):
@@ -302,6 +306,17 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._send_map(CONFIDENCE, estimate.confidence, header)
         if self.wants(STD_DEV.topic):
             self._send_map(STD_DEV, _std_dev_m(estimate, depth_m), header)
+
+    def _send_odometry(self, estimate: DepthEstimate, header: Header) -> None:
+        """Publish where the camera is, if its motion is followed and known."""
+        step = estimate.camera_step
+        self._camera_note = str(step or "")
+        if step is None:
+            return
+        since_ns, self._moved_ns = stamp_ns(header) - self._moved_ns, stamp_ns(header)
+        place = self._trajectory.add(step)
+        if place is not None and self.wants(_ODOMETRY):
+            self.send(_ODOMETRY, odometry_from_place(place, header, since_ns * 1e-9))
 
     def _send_depth(
         self, spec: LayerSpec, depth: Callable[[], NDArray[Any]], header: Header
@@ -391,6 +406,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._restarting.is_set():
             self._restarting.clear()
             pipeline.reset()
+            self._trajectory, self._moved_ns = Trajectory(), 0
         return pipeline
 
 

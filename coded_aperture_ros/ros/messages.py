@@ -6,11 +6,14 @@ All are pure functions of their arguments: no node, no clock, no publisher.
 import sys
 from typing import Any
 
+import numpy as np
+from nav_msgs.msg import Odometry
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.depth.moving import Place
 from coded_aperture_ros.io.messages import (
     array_from_compressed,
     check_pixels,
@@ -136,3 +139,47 @@ def region_camera_info(info: CameraInfo, width: int, height: int, header: Header
     scaled.d = list(info.d)
     scaled.r = list(info.r)
     return scaled
+
+
+def odometry_from_place(place: Place, header: Header, seconds: float) -> Odometry:
+    """Odometry of a camera.
+
+    Parameters
+    ----------
+    place : Place
+    header : Header
+        Of the frame. The pose is in the frame of its name and ``_start``: the camera at first.
+    seconds : float
+        Time since the last frame; 0 or less: the twist is 0, with no covariance.
+    """
+    message = Odometry(child_frame_id=header.frame_id)
+    message.header.stamp = header.stamp
+    message.header.frame_id = f"{header.frame_id}_start"
+    pose = message.pose.pose
+    pose.position.x, pose.position.y, pose.position.z = map(float, place.pose[:3, 3])
+    turn = quaternion(place.pose[:3, :3])
+    pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = turn
+    # About the axes of the first frame, as the message has it.
+    turned = np.kron(np.eye(2), place.pose[:3, :3])
+    message.pose.covariance = (turned @ place.covariance @ turned.T).ravel()
+    if seconds > 0:
+        rates = [float(rate) for rate in place.moved / seconds]
+        twist = message.twist.twist
+        twist.linear.x, twist.linear.y, twist.linear.z = rates[:3]
+        twist.angular.x, twist.angular.y, twist.angular.z = rates[3:]
+        message.twist.covariance = (place.moved_covariance / seconds**2).ravel()
+    return message
+
+
+def quaternion(turn: DoubleArray) -> tuple[float, float, float, float]:
+    """Unit quaternion x, y, z, w of a rotation matrix [3, 3].
+
+    Examples
+    --------
+    >>> quaternion(np.eye(3))
+    (0.0, 0.0, 0.0, 1.0)
+    """
+    from scipy.spatial.transform import Rotation  # it is wanted by few
+
+    x, y, z, w = map(float, Rotation.from_matrix(turn).as_quat())
+    return x, y, z, w

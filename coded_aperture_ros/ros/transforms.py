@@ -12,6 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from nav_msgs.msg import Odometry
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
@@ -175,7 +176,7 @@ def _transform(header: Header, place: Any, turn: Any) -> _Transform | None:
 
 
 def listen_to_poses(listen: Callable[..., None], transforms: Transforms) -> str:
-    """Subscribe to odometry, /tf and /tf_static; return what cannot be, for want of a package.
+    """Subscribe to odometry, /tf and /tf_static; return the package that is missing, if one is.
 
     Parameters
     ----------
@@ -185,18 +186,11 @@ def listen_to_poses(listen: Callable[..., None], transforms: Transforms) -> str:
     """
     many = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    missing = []
-    try:
-        from nav_msgs.msg import Odometry
-    except ImportError:
-        missing.append("nav_msgs")
-    else:
-        listen("odometry", Odometry, transforms.receive_odometry, many)
+    listen("odometry", Odometry, transforms.receive_odometry, many)
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
-        missing.append("tf2_msgs")
-    else:
-        listen("/tf", TFMessage, transforms.receive, many)
-        listen("/tf_static", TFMessage, transforms.receive_static, latched)
-    return ", ".join(missing)
+        return "tf2_msgs"
+    listen("/tf", TFMessage, transforms.receive, many)
+    listen("/tf_static", TFMessage, transforms.receive_static, latched)
+    return ""

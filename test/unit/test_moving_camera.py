@@ -1,11 +1,13 @@
 """What a moving camera's past frames tell: motion, parallax, belief; poses that are wrong."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole
+from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Trajectory
 from coded_aperture_ros.depth.moving.belief import carried, fused
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
@@ -107,6 +109,21 @@ def test_motion_is_found_in_the_frames():
         found[:3, 3]
     )
     assert np.abs(steps[-1].pose[:3, :3] - found[:3, :3]).max() < 0.02
+
+
+def test_the_way_goes_on_where_a_frame_tells_nothing():
+    steps, *_ = walk(WAY)
+    way = Trajectory()
+    places = [way.add(step) for step in steps]
+    assert places[0] is None and way.lost == 0
+    np.testing.assert_allclose(places[-1].pose, np.linalg.inv(WAY[0]) @ WAY[-1], atol=1e-9)
+    step = np.linalg.inv(WAY[-2]) @ WAY[-1]
+    np.testing.assert_allclose(places[-1].moved[:3], np.linalg.inv(step)[:3, 3] * -1, atol=1e-9)
+    grown = [np.trace(place.covariance) for place in places[1:]]
+    assert all(later > earlier for earlier, later in pairwise(grown))
+    before = way.pose
+    assert way.add(steps[0]) is None and way.lost == 1
+    np.testing.assert_allclose(way.pose, before @ step, atol=1e-9)
 
 
 def test_motion_between_two_frames_by_true_depth():

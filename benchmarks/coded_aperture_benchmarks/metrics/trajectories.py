@@ -9,7 +9,6 @@ from coded_aperture_benchmarks.run import Row
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
-from coded_aperture_ros.depth.moving import Step
 from coded_aperture_ros.optics import Camera
 
 _GAMMA = 2.2
@@ -73,35 +72,6 @@ class Tracker:
 
     def _tensor(self, values: Any) -> Any:
         return self._open3d.core.Tensor(np.ascontiguousarray(values))
-
-
-class Followed:
-    """Puts together what the estimates of a video tell of the camera's motion.
-
-    Attributes
-    ----------
-    lost : int
-        How often they said that they do not know it. Then it goes on as in the last step.
-    """
-
-    def __init__(self) -> None:
-        self.lost = 0
-        self._poses: list[DoubleArray] = []
-        self._origin = self._step = np.eye(4)
-
-    def add(self, step: Step) -> None:
-        """Take what is known of the next frame."""
-        if step.begun and self._poses:
-            self.lost += 1
-            self._origin = self._poses[-1] @ self._step
-        pose = self._origin @ step.pose
-        if self._poses:
-            self._step = np.linalg.inv(self._poses[-1]) @ pose
-        self._poses.append(pose)
-
-    def poses(self) -> DoubleArray:
-        """Return the poses [frames, 4, 4] so far, as seen from the first."""
-        return np.stack(self._poses)
 
 
 def tracked(true: DoubleArray, found: DoubleArray, segment_m: float) -> Row:

@@ -14,7 +14,7 @@ from coded_aperture_benchmarks.datasets.video import check_rgbd_video
 from coded_aperture_benchmarks.datasets.walks import Walk, of_video, through_room
 from coded_aperture_benchmarks.figures import seen_from_above
 from coded_aperture_benchmarks.methods.depth import CameraBank
-from coded_aperture_benchmarks.metrics.trajectories import Followed, Tracker, tracked, write_tum
+from coded_aperture_benchmarks.metrics.trajectories import Tracker, tracked, write_tum
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
@@ -22,7 +22,7 @@ from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.deblur import DeblurConfig, Deblurrer
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.moving import Step
+from coded_aperture_ros.depth.moving import Step, Trajectory
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import SRGB
 from coded_aperture_ros.io import depth_picture, write_image
@@ -97,11 +97,12 @@ def measure(cell: Cell) -> Measured:
     """Walk, and follow the way by everything that odometry may be given."""
     walk = cell.walk()
     trackers = {name: Tracker(walk.camera) for name in _TITLES}
-    shown, errors, known, followed = [], [], [], Followed()
+    shown, errors, known, way, followed = [], [], [], Trajectory(), []
     every = -(-walk.count // _SHOWN)
     for index, (frames, step) in enumerate(_frames(cell, walk)):
         sharp, true_m, coded, clear, depth_m, every_m = frames
-        followed.add(step)
+        way.add(step)
+        followed.append(way.pose)
         published = np.isfinite(depth_m)
         given = {
             TRUE: (sharp, true_m),
@@ -119,7 +120,7 @@ def measure(cell: Cell) -> Measured:
         if index % every == 0:
             shown.append((sharp, coded, clear, true_m, every_m))
     poses = {name: tracker.poses() for name, tracker in trackers.items()}
-    poses[FOLLOWED] = followed.poses()
+    poses[FOLLOWED] = np.stack(followed)
     # Of a video nothing tells the way but odometry with its own depth.
     true = poses.pop(TRUE) if walk.poses is None else walk.poses
     of_depth = {"depth_error": mean_of(errors, 4), "known": mean_of(known, 3)}
@@ -127,7 +128,7 @@ def measure(cell: Cell) -> Measured:
         {"walk": cell.name, "given": name, "frames": len(true)}
         | tracked(true, found, _SEGMENT_M)
         | (of_depth if name == OURS else {})
-        | ({"lost": followed.lost} if name == FOLLOWED else {})
+        | ({"lost": way.lost} if name == FOLLOWED else {})
         for name, found in poses.items()
     ]
     return Measured(cell, rows, {"truth": true} | poses, shown, walk.range_m)

@@ -8,5 +8,6 @@ an earlier frame (`parallax`).
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.geometry import Pinhole
 from coded_aperture_ros.depth.moving.memory import MovingMemory, Step
+from coded_aperture_ros.depth.moving.trajectory import Place, Trajectory
 
-__all__ = ["Belief", "MovingMemory", "Pinhole", "Step"]
+__all__ = ["Belief", "MovingMemory", "Pinhole", "Place", "Step", "Trajectory"]

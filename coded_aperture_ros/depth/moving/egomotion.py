@@ -26,6 +26,9 @@ _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 _AGREE_PX, _TRIES = 1.0, 100
 # Standard deviation of a found point, px, and what is added to that of its inverse depth, a share.
 _POINT_PX, _DEPTH_SHARE = 0.1, 0.05
+# Errors of depth are common to points: motions on walks were three times as far off as by errors of
+# each point's own.
+_COMMON = 3.0
 _ROUNDS, _CONVERGED = 8, 1e-5
 # Normalised errors from which points count less, and those that are no error of these points. A
 # motion with a larger median of them is none.
@@ -246,4 +249,4 @@ def _improved(
         if np.abs(change).max() < _CONVERGED:
             break
     share, misfit = float((squares < _OUTLIER).mean()), float(np.median(squares))
-    return Motion(matrix, np.linalg.pinv(information), share, misfit)
+    return Motion(matrix, _COMMON**2 * np.linalg.pinv(information), share, misfit)
