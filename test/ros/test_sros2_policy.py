@@ -14,7 +14,15 @@ from coded_aperture_ros.ros.depth_node import DepthNode
 
 NODES = {"camera_driver_node": CameraDriverNode, "depth_node": DepthNode, "deblur_node": DeblurNode}
 # What a node may do, but does not with the parameters of this test.
-OTHER_SETTINGS = {"/clock", "/image_raw/compressed", "/imu", "/parameter_events", "/tf_static"}
+OTHER_SETTINGS = {
+    "/clock",
+    "/image_raw/compressed",
+    "/imu",
+    "/parameter_events",
+    "/tf_static",
+    "/odometry",
+    "/tf",
+}
 
 
 @pytest.fixture(scope="module")
