@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
@@ -32,7 +32,6 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.moving import Trajectory
 from coded_aperture_ros.depth.stages import moving_camera
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
@@ -55,6 +54,7 @@ from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.camera_model import CameraModel
+from coded_aperture_ros.ros.camera_motion import CameraMotion
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.drift import NodeDrift
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
@@ -64,10 +64,8 @@ from coded_aperture_ros.ros.messages import (
     cloud_from_points,
     compressed_message,
     image_from_array,
-    odometry_from_place,
     stamp_ns,
 )
-from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
 
 _INFO, _ODOMETRY = "depth/camera_info", "depth/odometry"
 
@@ -156,17 +154,15 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             self.get_logger().warning(warning)
         self._gyro = Gyro()
         self._drift = NodeDrift()
-        self._transforms = Transforms()
-        self._trajectory, self._moved_ns = Trajectory(), 0
-        self._motion_note = self._camera_note = ""
+        self._camera_motion = CameraMotion(self.get_logger())
+        self._motion_note = ""
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
         if self._finds_motion:
             self.listen("imu", Imu, self._gyro.receive)
-        self._hears_poses = self._takes_poses
-        if self._hears_poses and (missing := listen_to_poses(self.listen, self._transforms)):
-            self.get_logger().warning(f"poses: of odometry alone, not of tf: no package {missing}")
+        if self._takes_poses:
+            self._camera_motion.listen(self.listen)
         self.begin()
 
     @property
@@ -214,7 +210,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         super().restart()
         self._restarting.set()
         self._gyro.forget()
-        self._transforms.forget()
+        self._camera_motion.forget_poses()
 
     def identity(self) -> dict[str, str]:
         """Keys and values of /diagnostics: camera file, bank, and what is known of motion."""
@@ -227,7 +223,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._finds_motion:
             identity["motion"] = self._motion_note and f"all motions tried: {self._motion_note}"
         if self.configs[DepthConfig].moving_camera:
-            identity["camera_motion"] = self._camera_note
+            identity["camera_motion"] = self._camera_motion.note
         return identity
 
     def process(self, item: tuple[Image, float]) -> None:
@@ -245,7 +241,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank's levels have no depth: use a bank for this camera file")
         depth_m = limit_depth(estimate.depth_m, *self._range_m)
-        self._send_odometry(estimate, header)
+        odometry = self._camera_motion.odometry(estimate.camera_step, header)
+        if odometry is not None and self.wants(_ODOMETRY):
+            self.send(_ODOMETRY, odometry)
         self._send_maps(estimate, depth_m, header)
         self._send_layers(estimate, header)
         if complaint := driver.complaint(self._model.whole, shape):
@@ -275,24 +273,10 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._finds_motion:
             intrinsics = self._model.camera.intrinsics
             motion = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
-        return dataclasses.replace(frame, view=view, motion=motion, pose=self._pose_of(header))
-
-    def _pose_of(self, header: Header) -> Callable[[], DoubleArray | None] | None:
-        """Pose of the camera at a stamp, for when it is needed; None where none is asked for."""
-        if not self._takes_poses:
-            return None
-        if not self._hears_poses:
-            self.get_logger().warning(
-                "temporal.moving_camera: pose has to be set when the node starts: until then the "
-                "motion is found in the frames",
-                once=True,
-            )
-            return None
-        fixed_frame = self.configs[DepthNodeConfig].fixed_frame
-
-        return functools.partial(
-            self._transforms.pose, fixed_frame, header.frame_id, stamp_ns(header)
-        )
+        pose = None
+        if self._takes_poses:
+            pose = self._camera_motion.pose_of(header, self.configs[DepthNodeConfig].fixed_frame)
+        return dataclasses.replace(frame, view=view, motion=motion, pose=pose)
 
     @property
     def _range_m(self) -> tuple[float, float]:
@@ -306,17 +290,6 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._send_map(CONFIDENCE, estimate.confidence, header)
         if self.wants(STD_DEV.topic):
             self._send_map(STD_DEV, _std_dev_m(estimate, depth_m), header)
-
-    def _send_odometry(self, estimate: DepthEstimate, header: Header) -> None:
-        """Publish where the camera is, if its motion is followed and known."""
-        step = estimate.camera_step
-        self._camera_note = str(step or "")
-        if step is None:
-            return
-        since_ns, self._moved_ns = stamp_ns(header) - self._moved_ns, stamp_ns(header)
-        place = self._trajectory.add(step)
-        if place is not None and self.wants(_ODOMETRY):
-            self.send(_ODOMETRY, odometry_from_place(place, header, since_ns * 1e-9))
 
     def _send_depth(
         self, spec: LayerSpec, depth: Callable[[], NDArray[Any]], header: Header
@@ -406,7 +379,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._restarting.is_set():
             self._restarting.clear()
             pipeline.reset()
-            self._trajectory, self._moved_ns = Trajectory(), 0
+            self._camera_motion.restart()
         return pipeline
 
 

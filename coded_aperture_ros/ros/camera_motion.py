@@ -1,0 +1,69 @@
+"""How a node's camera moves: poses that it is told, and the way that it has found."""
+
+import functools
+from collections.abc import Callable
+
+from nav_msgs.msg import Odometry
+from rclpy.impl.rcutils_logger import RcutilsLogger
+from std_msgs.msg import Header
+
+from coded_aperture_ros.core.arrays import DoubleArray
+from coded_aperture_ros.depth.moving import Step, Trajectory
+from coded_aperture_ros.ros.messages import odometry_from_place, stamp_ns
+from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
+
+
+class CameraMotion:
+    """Poses for frames, and odometry of what the frames tell.
+
+    Parameters
+    ----------
+    logger : RcutilsLogger
+
+    Attributes
+    ----------
+    note : str
+        What tells the motion, for /diagnostics; see `Step`.
+    """
+
+    def __init__(self, logger: RcutilsLogger) -> None:
+        self.note = ""
+        self._logger = logger
+        self._transforms = Transforms()
+        self._listens = False
+        self.restart()
+
+    def listen(self, listen: Callable[..., None]) -> None:
+        """Subscribe to poses; `listen` is that of a `FrameNode`."""
+        self._listens = True
+        if missing := listen_to_poses(listen, self._transforms):
+            self._logger.warning(f"poses: of odometry alone, not of tf: no package {missing}")
+
+    def forget_poses(self) -> None:
+        """Forget what was told, for example after the clock has jumped back."""
+        self._transforms.forget()
+
+    def restart(self) -> None:
+        """Begin the way anew, with the next frame."""
+        self._trajectory, self._moved_ns = Trajectory(), 0
+
+    def pose_of(self, header: Header, fixed_frame: str) -> Callable[[], DoubleArray | None] | None:
+        """What gives the camera's pose at a stamp, when it is needed; None without poses."""
+        if not self._listens:
+            self._logger.warning(
+                "temporal.moving_camera: pose has to be set when the node starts: until then the "
+                "motion is found in the frames",
+                once=True,
+            )
+            return None
+        stamp = stamp_ns(header)
+        return functools.partial(self._transforms.pose, fixed_frame, header.frame_id, stamp)
+
+    def odometry(self, step: Step | None, header: Header) -> Odometry | None:
+        """Where the camera is after a frame; None where its motion is not known."""
+        self.note = str(step or "")
+        if step is None:
+            return None
+        since_ns, self._moved_ns = stamp_ns(header) - self._moved_ns, stamp_ns(header)
+        place = self._trajectory.add(step)
+        return None if place is None else odometry_from_place(place, header, since_ns * 1e-9)
