@@ -17,7 +17,7 @@ from coded_aperture_ros.calibration.service.mask import turned
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.frames import SRGB, decode, encode
-from coded_aperture_ros.io import depth_picture, write_image
+from coded_aperture_ros.io import depth_picture
 from coded_aperture_ros.likelihood.bank import learn_bank
 from coded_aperture_ros.optics import Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import LayeredScene, random_scene
@@ -32,6 +32,7 @@ _REFOCUS = 0.95
 _ENLARGED = 1.5
 _JPEG_QUALITY = 75
 _RIGHT = 0.1
+_PICTURE_QUALITY = 80
 
 
 def main() -> None:
@@ -61,7 +62,8 @@ def main() -> None:
         picture = titled(told, depth_picture(depth_m, *ends_m, "m"))
         columns.append((name, [as_rgb(frame, SRGB), picture]))
     half = len(columns) // 2
-    write_image(output, np.vstack([side_by_side(columns[:half]), side_by_side(columns[half:])]))
+    picture = np.vstack([side_by_side(columns[:half]), side_by_side(columns[half:])])
+    cv2.imwrite(output, picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _PICTURE_QUALITY])
 
 
 def frames(scene: LayeredScene) -> Iterator[tuple[str, FloatArray, FloatArray]]:
