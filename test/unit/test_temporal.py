@@ -368,7 +368,7 @@ def test_stages_are_timed_in_order(fine_bank, weak_scene, frames, regularize):
         estimate = estimator.estimate(frame)
         stages = ["observe", "static average", "spectra", "energies", "likelihood"]
         stages += ["small patches", "temporal", "decode", "quality of fit", "periodic texture"]
-        stages += ["unknown", "metric", "motion"]
+        stages += ["unknown", "metric"]
         left_out = set() if frames else {"static average", "temporal"}
         if regularize == "semiglobal":
             left_out.add("small patches")
