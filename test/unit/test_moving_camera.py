@@ -133,7 +133,7 @@ def test_motion_between_two_frames_by_true_depth():
     exact = Belief(1 / depth, np.full(depth.shape, 1e-8, np.float32), np.ones_like(depth))
     landmarks = Landmarks.of(images[0], exact)
     found = Found.of(landmarks, images[1], VIEW, np.eye(4))
-    motion = found.motion(VIEW)
+    motion = found.motion(VIEW, np.eye(4))
     true = np.linalg.inv(WAY[4]) @ WAY[0]
     assert np.linalg.norm(motion.matrix[:3, 3] - true[:3, 3]) < 0.05 * np.linalg.norm(true[:3, 3])
     off = np.abs(motion.matrix[:3, 3] - true[:3, 3])

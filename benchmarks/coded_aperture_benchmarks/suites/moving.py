@@ -2,7 +2,7 @@
 
 import argparse
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -105,7 +105,7 @@ def measure(cell: Cell) -> Measured:
         estimator.close()
         depths_m[name] = np.asarray(estimate.depth_m)
         keys = scores[0].keys()
-        row = {key: mean_of([score[key] for score in scores], 4) for key in keys}
+        row = {key: _mean_known(score[key] for score in scores) for key in keys}
         ms = round(1e3 * float(np.median(seconds)), 2)
         rows.append({"room": cell.room, "told": name, **row, "stage_ms": ms})
     return Measured(rows, views[-1].coded, depths_m)
@@ -176,8 +176,14 @@ def _score(estimate: DepthEstimate, view: _View) -> Row:
     }
 
 
-def _mean(values: NDArray) -> float:
-    return float(values.mean()) if values.size else float("nan")
+def _mean(values: NDArray) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _mean_known(values: Iterable[float | None]) -> float | None:
+    """Mean of what there is, rounded; None without any."""
+    known = [value for value in values if value is not None]
+    return mean_of(known, 4) if known else None
 
 
 def _near_edges(depth_m: FloatArray) -> BoolArray:
@@ -198,7 +204,7 @@ def _results(_: argparse.Namespace, measured: list[Measured]) -> Row:
     rows = [row for each in measured for row in each.rows]
     shown = [key for key in rows[0] if key not in ("room", "told")]
     pooled = [
-        {"told": told, **{key: mean_of((row[key] for row in group), 4) for key in shown}}
+        {"told": told, **{key: _mean_known(row[key] for row in group) for key in shown}}
         for (told,), group in grouped(rows, "told").items()
     ]
     return {"rows": rows, "pooled": pooled}

@@ -33,6 +33,8 @@ _ROUNDS, _CONVERGED = 8, 1e-5
 # Normalised errors from which points count less, and those that are no error of these points. A
 # motion with a larger median of them is none.
 _ROBUST, _OUTLIER, _MOST_MISFIT = 3.0, 9.0, 5.0
+# What a guess leads to is taken at once if the median and the share that goes with it are so good.
+_GOOD_MISFIT, _GOOD_SHARE = 1.5, 0.6
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -162,8 +164,14 @@ class Found:
         )
         return cls(seen, pixels[found], float(found.mean()))
 
-    def motion(self, view: Pinhole) -> Motion | None:
-        """Motion since the frame of the landmarks; None if too few points agree."""
+    def motion(self, view: Pinhole, guess: DoubleArray) -> Motion | None:
+        """Motion since the frame of the landmarks; None if too few points agree.
+
+        A guess [4, 4] from which they all but agree is where it begins.
+        """
+        near = self.improved(guess, view)
+        if near.misfit < _GOOD_MISFIT and near.share > _GOOD_SHARE:
+            return near
         begin = _beginning(self.landmarks, self.pixels, view)
         motion = None if begin is None else self.improved(begin, view)
         return motion if motion is not None and motion.misfit < _MOST_MISFIT else None

@@ -12,18 +12,21 @@ from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 
-# How much two frames of a moving camera tell that agree: their errors have much in common. A camera
-# at rest has the same errors again; frames tell something new when half a window has gone by.
-_AGREEMENT, _NEW_PX = 0.3, 4.0
+# How much two frames of a moving camera tell that agree: their errors have much in common. At rest
+# they are the same again; they tell something new if the picture has moved by more than this, px.
+_AGREEMENT, _NEW_PX = 0.3, 1.0
 _PARALLAX_AGREEMENT = 0.8
 # Past frames that are kept, and the parallax that is best to compare with, px of the map.
 _KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
+# What is seen of a step forward, beside one to the side.
+_FORWARD = 0.1
 # Landmarks are looked for anew when fewer of them than this share go with the motion.
 _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 # A pose is wrong if the squared errors of landmarks are so many times what the best motion near it
 # leaves, and by so much more.
 _WRONG, _WRONG_BY = 2.0, 2.0
-_SMOOTHING_PX = 0.7
+# Frames are smoothed, which leaves so much of their noise.
+_SMOOTHING_PX, _SMOOTHED = 0.7, 0.4
 # Every fourth row and column is enough for a median.
 _SPARSE = 4
 
@@ -127,7 +130,9 @@ class MovingMemory:
         self._key: _Key | None = None
         self._seen: tuple[Seen, ...] = ()
 
-    def add(self, light: FloatArray, belief: Belief, pose: DoubleArray | None = None) -> Step:
+    def add(
+        self, light: FloatArray, belief: Belief, pose: DoubleArray | None = None, noise: float = 0.0
+    ) -> Step:
         """Put the next frame's belief together with what was seen before.
 
         Parameters
@@ -138,6 +143,8 @@ class MovingMemory:
             By this frame alone.
         pose : ndarray, float64 [4, 4], optional
             Turns points of the camera into those of a fixed frame, metres.
+        noise : float, optional
+            Standard deviation of the noise of `light`.
         """
         smooth = cv2.GaussianBlur(light, (0, 0), _SMOOTHING_PX)
         roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
@@ -149,13 +156,15 @@ class MovingMemory:
         else:
             matrix = moved.since @ np.linalg.inv(key.since)
             place = last.step.pose @ np.linalg.inv(matrix)
-            agreement = max(1 - self._keep, _AGREEMENT * self._novelty(last.step.belief, matrix))
-            past = carried(last.step.belief, last.light, smooth, self._view, matrix, self._keep)
-            together = fused(past, belief, agreement)
-            together = self._with_parallax(together, roots, place)
+            keep = self._keep * self._novelty(last.step.belief, matrix)
+            past = carried(last.step.belief, last.light, smooth, self._view, matrix, keep)
+            together = fused(past, belief, _AGREEMENT)
+            misfit = 1.0 if moved.by_landmarks is None else moved.by_landmarks.misfit
+            seen_noise = _SMOOTHED * noise / (2 * float(np.median(roots[::_SPARSE, ::_SPARSE])))
+            together = self._with_parallax(together, roots, place, (seen_noise, misfit))
             step = Step(together, place, moved.by_landmarks, False, moved.refused, moved.given)
         self._last = _Last(step, smooth, pose)
-        self._seen = (*self._seen, Seen(roots, step.pose))[-_KEPT:]
+        self._keep_seen(Seen(roots, step.pose), step.belief)
         self._follow(image, step, moved)
         return step
 
@@ -174,9 +183,11 @@ class MovingMemory:
             if found.disagreement(given, self._view) < _WRONG * near.misfit + _WRONG_BY:
                 return _Moved(given, near, given=True)
         found = Found.of(key.landmarks, image, self._view, key.since)
-        motion = None if found is None else found.motion(self._view)
-        refused = given is not None
-        return _Moved(None if motion is None else motion.matrix, motion, refused=refused)
+        motion = None if found is None else found.motion(self._view, key.since)
+        if motion is not None:
+            return _Moved(motion.matrix, motion, refused=given is not None)
+        # Where most of the view moves by itself, no one motion contradicts a pose.
+        return _Moved(given, given=given is not None)
 
     def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""
@@ -186,24 +197,35 @@ class MovingMemory:
         shift_px = np.hypot(*Transfer(middle, matrix).columns_rows(inverse))
         return float(1 - np.exp(-shift_px[0, 0] / _NEW_PX))
 
-    def _with_parallax(self, belief: Belief, roots: FloatArray, pose: DoubleArray) -> Belief:
-        """Belief with what the past frame tells whose parallax suits best."""
-        if not self._seen:
-            return belief
-        middle = _middle(belief)
-        focal_px = self._view.focal_px[0]
+    def _with_parallax(
+        self, belief: Belief, roots: FloatArray, pose: DoubleArray, errors: tuple[float, float]
+    ) -> Belief:
+        """Belief with what the past frame tells whose parallax suits best.
 
-        def parallax_px(seen: Seen) -> float:
-            shift = (np.linalg.inv(seen.pose) @ pose)[:3, 3]
-            return float(np.hypot(np.hypot(*shift[:2]), 0.1 * shift[2])) * focal_px * middle
+        `errors` are the noise of the roots, and the misfit of the landmarks.
+        """
 
-        best = min(
-            self._seen, key=lambda seen: abs(np.log((parallax_px(seen) + 1e-3) / _BEST_PARALLAX_PX))
-        )
-        if parallax_px(best) < _LEAST_PARALLAX_PX:
+        def unsuited(seen: Seen) -> float:
+            parallax_px = self._parallax_px(seen, pose, belief)
+            return abs(float(np.log((parallax_px + 1e-3) / _BEST_PARALLAX_PX)))
+
+        best = min(self._seen, key=unsuited, default=None)
+        if best is None or self._parallax_px(best, pose, belief) < _LEAST_PARALLAX_PX:
             return belief
-        told = by_parallax(roots, best, pose, self._view, belief)
+        told = by_parallax(roots, best, pose, self._view, belief, *errors)
         return fused(belief, told, _PARALLAX_AGREEMENT)
+
+    def _parallax_px(self, seen: Seen, pose: DoubleArray, belief: Belief) -> float:
+        """About how far the middle of the scene has moved since a frame, but for rotation, px."""
+        shift = (np.linalg.inv(seen.pose) @ pose)[:3, 3]
+        length = float(np.hypot(np.hypot(*shift[:2]), _FORWARD * shift[2]))
+        return length * self._view.focal_px[0] * _middle(belief)
+
+    def _keep_seen(self, seen: Seen, belief: Belief) -> None:
+        """Keep a frame, unless it has hardly any parallax to the last that was kept."""
+        last = self._seen[-1] if self._seen else None
+        if last is None or self._parallax_px(last, seen.pose, belief) > _LEAST_PARALLAX_PX:
+            self._seen = (*self._seen, seen)[-_KEPT:]
 
     def _follow(self, image: NDArray[np.uint8], step: Step, moved: _Moved) -> None:
         """Go on with the landmarks, or look for new ones where they have become few or strange."""

@@ -20,10 +20,11 @@ _INDEPENDENT = 0.3 * _WINDOW_PX**2
 # Step to either side along the line of sight, px of parallax, of which the best match is found: a
 # second search from there followed noise, and brought half as much.
 _STEP_PX = 1.0
-# No match is better than this, px: blur changes from place to place.
+# No match is better than this, px, as blur changes from place to place; nor is it where landmarks
+# fit the motion worse than expected.
 _FINEST_PX = 0.3
-# Standard deviation of the difference of two frames, in square roots of light.
-_NOISE = np.float32(0.001)
+# Least standard deviation of the difference of two frames, in square roots of light.
+_LEAST_NOISE = 0.001
 # What was believed before holds the search as if it were four times as uncertain, and 5 % at least.
 _LOOSER, _TOLERANCE = 4.0, 0.05
 # Differences that a shift of this much would explain are no misfit, px; and how fast trust falls
@@ -53,7 +54,13 @@ class Seen:
 
 
 def by_parallax(
-    now: FloatArray, seen: Seen, pose: DoubleArray, view: Pinhole, belief: Belief
+    now: FloatArray,
+    seen: Seen,
+    pose: DoubleArray,
+    view: Pinhole,
+    belief: Belief,
+    noise: float = 0.0,
+    misfit: float = 1.0,
 ) -> Belief:
     """Belief by parallax alone; confidence 0 where nothing can be told.
 
@@ -68,23 +75,29 @@ def by_parallax(
     view : Pinhole
     belief : Belief
         From where the search begins.
+    noise : float
+        Standard deviation of `now`'s noise.
+    misfit : float
+        Of the landmarks, by the motion; see `Motion`.
 
     References
     ----------
     B. D. Lucas and T. Kanade, An iterative image registration technique, IJCAI 1981; along the
     epipolar line, by inverse depth.
     """
-    line = _Line(now, seen, view, np.linalg.inv(seen.pose) @ pose)
+    finest_px = _FINEST_PX * max(misfit, 1.0) ** 0.5
+    limits = max(2**0.5 * noise, _LEAST_NOISE), finest_px
+    line = _Line(now, seen, view, np.linalg.inv(seen.pose) @ pose, limits)
     inverse = line.likeliest_around(np.maximum(belief.inverse, _LEAST_INVERSE))
     change, information, slope = line.improvement(inverse)
     hold = 1 / (_LOOSER * belief.variance + np.square(_TOLERANCE * inverse))
     found = np.maximum(inverse + information * change / (information + hold), _LEAST_INVERSE)
     inverse = np.asarray(found, np.float32)
     left, hidden = line.left_over(inverse)
-    misfit = left / (2 * _NOISE**2 + np.float32(_SHIFT_PX**2) * slope)
+    excess = left / (2 * line.noise**2 + np.float32(_SHIFT_PX**2) * slope) - 1
     variance = np.asarray(1 / np.maximum(information, np.float32(1e-6)), np.float32)
     tolerated = np.square(_TOLERANCE * inverse)
-    confidence = _MOST_CONFIDENCE * np.exp(-np.maximum(misfit - 1, 0) / _MISFIT_SCALE)
+    confidence = _MOST_CONFIDENCE * np.exp(-np.maximum(excess, 0) / _MISFIT_SCALE)
     confidence *= (1 - hidden) * tolerated / (tolerated + variance)
     return Belief(inverse, variance, np.asarray(confidence, np.float32))
 
@@ -92,7 +105,15 @@ def by_parallax(
 class _Line:
     """Differences of two frames, for inverse depths along every pixel's line of sight."""
 
-    def __init__(self, now: FloatArray, seen: Seen, view: Pinhole, motion: DoubleArray) -> None:
+    def __init__(
+        self,
+        now: FloatArray,
+        seen: Seen,
+        view: Pinhole,
+        motion: DoubleArray,
+        limits: tuple[float, float],
+    ) -> None:
+        self.noise, self._finest_px = map(np.float32, limits)
         self._now, self._roots = now, seen.roots
         self._transfer = Transfer(view, motion)
 
@@ -119,7 +140,7 @@ class _Line:
         found = inverse
         for other in (cv2.dilate(inverse, around), cv2.erode(inverse, around)):
             left, hidden = self.left_over(other)
-            better = (left * _BETTER + 2 * _NOISE**2 < least) & (hidden == 0)
+            better = (left * _BETTER + 2 * self.noise**2 < least) & (hidden == 0)
             found, least = np.where(better, other, found), np.where(better, left, least)
         return np.asarray(found, np.float32)
 
@@ -139,9 +160,9 @@ class _Line:
         squares = _window_mean(slope * slope)
         change_px = -_window_mean(slope * difference) / np.maximum(squares, np.float32(1e-9))
         # Noise has slopes, too.
-        told = np.maximum(squares - _NOISE**2 / np.float32(2 * _STEP_PX**2), 0)
-        told *= np.float32(_INDEPENDENT) / _NOISE**2
-        told /= 1 + told * np.float32(_FINEST_PX**2)
+        told = np.maximum(squares - self.noise**2 / np.float32(2 * _STEP_PX**2), 0)
+        told *= np.float32(_INDEPENDENT) / self.noise**2
+        told /= 1 + told * self._finest_px**2
         return np.clip(change_px / px_per, -step, step), told * np.square(px_per), squares
 
 

@@ -80,7 +80,9 @@ class MovingCamera(Stage):
         own = Belief(inverse, np.square(deviation * per_level), confidence)
         light = cv2.resize(work.grey, size[::-1], interpolation=cv2.INTER_AREA)
         asked = work.frame.pose if self._takes_poses else None
-        step = self._memory_for(size).add(light, own, None if asked is None else asked())
+        pose = None if asked is None else asked()
+        noise = work.observation.noise.typical * (light.size / work.grey.size) ** 0.5
+        step = self._memory_for(size).add(light, own, pose, noise)
         work.camera_step = step
         if step.begun:
             return
