@@ -72,12 +72,14 @@ class Transfer:
         Of both views.
     motion : ndarray, float64 [4, 4]
         Turns points of the first view into those of the second.
+    every : int, optional
+        Of how many rows and columns of the first view one is asked for.
     """
 
-    def __init__(self, view: Pinhole, motion: DoubleArray) -> None:
+    def __init__(self, view: Pinhole, motion: DoubleArray, every: int = 1) -> None:
         (rows, columns), (fx, fy), (cx, cy) = view.shape, view.focal_px, view.centre
-        x = ((np.arange(columns) - cx) / fx).astype(np.float32)
-        y = ((np.arange(rows) - cy) / fy).astype(np.float32)[:, None]
+        x = ((np.arange(0, columns, every) - cx) / fx).astype(np.float32)
+        y = ((np.arange(0, rows, every) - cy) / fy).astype(np.float32)[:, None]
         turned = motion[:3, :3].astype(np.float32)
         # The ray of every pixel, turned: a point on it is at (ray + shift * inverse depth).
         self._ray = [row[0] * x + (row[1] * y + row[2]) for row in turned]

@@ -9,7 +9,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 
@@ -34,7 +34,8 @@ _SHIFT_PX, _MISFIT_SCALE, _MOST_CONFIDENCE = 0.25, 2.0, 0.9
 # another depth is taken if it leaves so much less.
 _AROUND_PX, _BETTER = 13, 1.5
 _LEAST_INVERSE = np.float32(1e-3)
-_OUTSIDE = np.float32(-1)
+# Of how many rows and columns one is enough to choose a surface.
+_SPARSE = 2
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -85,25 +86,83 @@ def by_parallax(
     B. D. Lucas and T. Kanade, An iterative image registration technique, IJCAI 1981; along the
     epipolar line, by inverse depth.
     """
-    finest_px = _FINEST_PX * max(misfit, 1.0) ** 0.5
-    limits = max(2**0.5 * noise, _LEAST_NOISE), finest_px
-    line = _Line(now, seen, view, np.linalg.inv(seen.pose) @ pose, limits)
-    inverse = line.likeliest_around(np.maximum(belief.inverse, _LEAST_INVERSE))
-    change, information, slope = line.improvement(inverse)
+    motion = np.linalg.inv(seen.pose) @ pose
+    noise = max(2**0.5 * noise, _LEAST_NOISE)
+    inverse = np.maximum(belief.inverse, _LEAST_INVERSE)
+    inverse = _likeliest_around(_Line(now, seen, view, motion, noise, _SPARSE), inverse)
+    line = _Line(now, seen, view, motion, noise)
+    match = line.match(inverse, _FINEST_PX * max(misfit, 1.0) ** 0.5)
     hold = 1 / (_LOOSER * belief.variance + np.square(_TOLERANCE * inverse))
-    found = np.maximum(inverse + information * change / (information + hold), _LEAST_INVERSE)
-    inverse = np.asarray(found, np.float32)
-    left, hidden = line.left_over(inverse)
-    excess = left / (2 * line.noise**2 + np.float32(_SHIFT_PX**2) * slope) - 1
-    variance = np.asarray(1 / np.maximum(information, np.float32(1e-6)), np.float32)
-    tolerated = np.square(_TOLERANCE * inverse)
+    change = match.information * match.change / (match.information + hold)
+    found = np.maximum(inverse + change, _LEAST_INVERSE)
+    left = match.left_after(change)
+    excess = left / (2 * line.noise**2 + np.float32(_SHIFT_PX**2) * match.slope) - 1
+    variance = np.asarray(1 / np.maximum(match.information, np.float32(1e-6)), np.float32)
+    tolerated = np.square(_TOLERANCE * found)
     confidence = _MOST_CONFIDENCE * np.exp(-np.maximum(excess, 0) / _MISFIT_SCALE)
-    confidence *= (1 - hidden) * tolerated / (tolerated + variance)
-    return Belief(inverse, variance, np.asarray(confidence, np.float32))
+    confidence *= (1 - match.hidden) * tolerated / (tolerated + variance)
+    return Belief(np.asarray(found, np.float32), variance, np.asarray(confidence, np.float32))
+
+
+def _likeliest_around(line: "_Line", inverse: FloatArray) -> FloatArray:
+    """Inverse depth of the surface, of those around a pixel, that suits best.
+
+    On every second row and column: surfaces are larger than that.
+    """
+    around = np.ones((_AROUND_PX // _SPARSE,) * 2, np.uint8)
+    some = np.ascontiguousarray(inverse[::_SPARSE, ::_SPARSE])
+    least, _ = line.left_over(some)
+    found = some
+    for other in (cv2.dilate(some, around), cv2.erode(some, around)):
+        left, hidden = line.left_over(other)
+        better = (left * _BETTER + 2 * line.noise**2 < least) & (hidden == 0)
+        found, least = np.where(better, other, found), np.where(better, left, least)
+    changed = (found != some).astype(np.uint8)
+    if not changed.any():
+        return inverse
+    size = inverse.shape[::-1]
+    large, where = (
+        cv2.resize(of, size, interpolation=cv2.INTER_NEAREST) for of in (found, changed)
+    )
+    return np.where(where > 0, large, inverse)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Match:
+    """How two frames match along the lines of sight; all float32 [rows, columns].
+
+    Attributes
+    ----------
+    change : ndarray
+        Of the inverse depth, to where they match best, 1/m.
+    information : ndarray
+        Inverse of its variance.
+    slope : ndarray
+        Mean square of the change of the earlier frame along the line, per px.
+    hidden : ndarray
+        Share of the window that is not in the earlier frame.
+    """
+
+    change: FloatArray
+    information: FloatArray
+    slope: FloatArray
+    hidden: FloatArray
+    _px_per: FloatArray
+    _left: FloatArray
+    _covaried: FloatArray
+
+    def left_after(self, change: FloatArray) -> FloatArray:
+        """Mean squared difference that a change of the inverse depth leaves."""
+        moved_px = change * self._px_per
+        left = self._left + moved_px * (2 * self._covaried + moved_px * self.slope)
+        return np.asarray(np.maximum(left, 0), np.float32)
 
 
 class _Line:
-    """Differences of two frames, for inverse depths along every pixel's line of sight."""
+    """Differences of two frames, for inverse depths along every pixel's line of sight.
+
+    Of every pixel, or of some rows and columns.
+    """
 
     def __init__(
         self,
@@ -111,11 +170,43 @@ class _Line:
         seen: Seen,
         view: Pinhole,
         motion: DoubleArray,
-        limits: tuple[float, float],
+        noise: float,
+        every: int = 1,
     ) -> None:
-        self.noise, self._finest_px = map(np.float32, limits)
-        self._now, self._roots = now, seen.roots
-        self._transfer = Transfer(view, motion)
+        self.noise = np.float32(noise)
+        self._now, self._roots = now[::every, ::every], seen.roots
+        self._transfer = Transfer(view, motion, every)
+        self._window = (_WINDOW_PX // every // 2 * 2 + 1,) * 2
+
+    def left_over(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean squared difference in the window, and the share of it that is outside."""
+        shown = self._shown(inverse)
+        outside = shown < 0
+        difference = np.where(outside, 0, shown - self._now)
+        return self._mean(difference * difference), self._mean(outside)
+
+    def match(self, inverse: FloatArray, finest_px: float) -> _Match:
+        """Match near inverse depths, of which none is better than so many px."""
+        px_per = np.maximum(self._transfer.parallax(inverse), np.float32(1e-2))
+        farthest = np.float32(0.3) * np.maximum(inverse, np.float32(0.05))
+        step = np.minimum(_STEP_PX / px_per, farthest)
+        before, here, after = (self._shown(inverse + sign * step) for sign in (-1, 0, 1))
+        inside = np.minimum(np.minimum(before, here), after) >= 0
+        slope = np.where(inside, (after - before) / (2 * step * px_per), 0)
+        difference = np.where(inside, here - self._now, 0)
+        squares, covaried, left = (
+            self._mean(product)
+            for product in (slope * slope, slope * difference, difference * difference)
+        )
+        change = -covaried / (np.maximum(squares, np.float32(1e-9)) * px_per)
+        # Noise has slopes, too.
+        told = np.maximum(squares - self.noise**2 / np.float32(2 * _STEP_PX**2), 0)
+        told *= np.float32(_INDEPENDENT) / self.noise**2
+        told /= 1 + told * np.float32(finest_px**2)
+        information = told * np.square(px_per)
+        change = np.clip(change, -step, step)
+        hidden = self._mean(~inside)
+        return _Match(change, information, squares, hidden, px_per, left, covaried)
 
     def _shown(self, inverse: FloatArray) -> FloatArray:
         """The earlier frame where each pixel's point is in it; -1 outside of it."""
@@ -125,47 +216,6 @@ class _Line:
         )
         return shown
 
-    def left_over(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean squared difference in the window, and the share of it that is outside."""
-        shown = self._shown(inverse)
-        outside = shown < 0
-        difference = np.where(outside, 0, shown - self._now)
-        left = _window_mean(difference * difference)
-        return left, _window_mean(outside.astype(np.float32))
-
-    def likeliest_around(self, inverse: FloatArray) -> FloatArray:
-        """Inverse depth of the surface, of those around a pixel, that suits best."""
-        around = np.ones((_AROUND_PX, _AROUND_PX), np.uint8)
-        least, _ = self.left_over(inverse)
-        found = inverse
-        for other in (cv2.dilate(inverse, around), cv2.erode(inverse, around)):
-            left, hidden = self.left_over(other)
-            better = (left * _BETTER + 2 * self.noise**2 < least) & (hidden == 0)
-            found, least = np.where(better, other, found), np.where(better, left, least)
-        return np.asarray(found, np.float32)
-
-    def improvement(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Change of the inverse depth that suits best, the inverse of its variance, and slope.
-
-        The slope is the mean square of the change of the earlier frame along the line, per px.
-        """
-        px_per = np.maximum(self._transfer.parallax(inverse), np.float32(1e-2))
-        step = np.minimum(
-            _STEP_PX / px_per, np.float32(0.3) * np.maximum(inverse, np.float32(0.05))
-        )
-        before, here, after = (self._shown(inverse + sign * step) for sign in (-1, 0, 1))
-        inside = np.minimum(np.minimum(before, here), after) >= 0
-        slope = np.where(inside, (after - before) / (2 * step * px_per), 0)
-        difference = np.where(inside, here - self._now, 0)
-        squares = _window_mean(slope * slope)
-        change_px = -_window_mean(slope * difference) / np.maximum(squares, np.float32(1e-9))
-        # Noise has slopes, too.
-        told = np.maximum(squares - self.noise**2 / np.float32(2 * _STEP_PX**2), 0)
-        told *= np.float32(_INDEPENDENT) / self.noise**2
-        told /= 1 + told * self._finest_px**2
-        return np.clip(change_px / px_per, -step, step), told * np.square(px_per), squares
-
-
-def _window_mean(values: FloatArray) -> FloatArray:
-    mean: FloatArray = cv2.blur(np.asarray(values, np.float32), (_WINDOW_PX, _WINDOW_PX))
-    return mean
+    def _mean(self, values: FloatArray | BoolArray) -> FloatArray:
+        mean: FloatArray = cv2.blur(np.asarray(values, np.float32), self._window)
+        return mean
