@@ -285,3 +285,35 @@ def test_the_stage_in_the_estimator(bank, how, size):
         bank, DepthConfig(temporal_frames=8, confidence_threshold=0.0), CAMERA
     ).estimate(Frame(seen(WAY[0])[0]), size)
     np.testing.assert_array_equal(again.level, alone.level)
+
+
+@pytest.fixture(scope="module")
+def fine_bank():
+    """A bank whose levels the refinement takes."""
+    return learn_bank_for_camera(NARROW, 1.2, 4.0, 30)
+
+
+NARROW = Camera(300.0, 0.9, 160, 120, Mask.named("levin"), 60.0)
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        {"free_space_risk": 0.01},
+        {"second_surface": True},
+        {"unknown": "nearest"},
+        {"regularize": "semiglobal"},
+        {"regularize": "learned", "confidence_threshold": 0.9},
+    ],
+)
+def test_beside_other_options(fine_bank, beside):
+    """Frames are sharp here, which the check of fit would not pass."""
+    config = DepthConfig(temporal_frames=8, moving_camera="frames", check_fit=False, **beside)
+    estimator = DepthEstimator(fine_bank, config, NARROW)
+    for pose in WAY[:4]:
+        estimate = estimator.estimate(Frame(seen(pose)[0]))
+    assert str(estimate.camera_step) == "found in the frames"
+    known = np.isfinite(estimate.depth_m)
+    assert known.any() and known.all() == (beside.get("unknown") == "nearest")
+    assert (estimate.std_dev_m[known] > 0).all()
+    assert (estimate.confidence[known] >= config.confidence_threshold).all() or known.all()
