@@ -9,14 +9,12 @@ from typing import Any
 import cv2
 import numpy as np
 from banks import BankPair, kept_banks
+from boards import board_scene, shows_boards_only
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, Recorded, recorded
 from coded_aperture_benchmarks.datasets.misfits import MISFITS
-from measured import photograph_board
 from misfit_shares import PSF_MISFITS, share_tried
 from scenes import (
-    FIRST_BOARD_SHARD,
     FRAME_PX,
-    FRAMES_PER_SHARD,
     SCENES,
     build_scene,
     frame_numbers,
@@ -35,13 +33,15 @@ from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 from coded_aperture_ros.simulation.layered import LayeredScene
-from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer
 
 # Levels of all banks; each frame is shown to some of them.
 _SIZES_PX = np.arange(0.6, 22.01, 0.55)
 _FEWEST = 8
 _STEPS = 5
 _FITTING_FRAMES = 3
+# In how many scenes there is a frame of another focus, and how it differs in scale.
+_BREATHING_SHARE = 0.4
+_BREATHING = (0.93, 1.07)
 # Small parts are shown beside: of every fitting frame, and of some of the others.
 _SMALL_PX = (96, 160)
 _SMALL_SHARE = 0.5
@@ -57,14 +57,6 @@ _CAMERA_SHARE = 0.6
 # One frame in so many shows a board that fills it, and one comes through a badly cut mask.
 _BOARD_EVERY = 6
 _BADLY_CUT_EVERY = 6
-_NARROWEST_PX = 1.2
-# From this shard of boards on their blur is small: there masks are told apart the least.
-_FIRST_NEAR_SHARD = 440
-_NEAR_PX = 6.0
-# Where all frames show boards: how many are soft, and the Gauss filter that they are softened by.
-_SOFT_SHARE = 0.7
-_PHOTOGRAPH_SHARE = 0.7
-_SOFT_PX = (0.3, 2.0)
 _BADLY_CUT = (0.08, 0.18)
 
 
@@ -108,39 +100,13 @@ def _scene(number: int, folder: Path) -> LayeredScene:
     scene, _ = build_scene(plan)
     if not _shows_board(number):
         return scene
-    # As where a lens is calibrated: no other surface tells the bank's other levels from beyond.
-    widest = float(np.nanmax(np.abs(scene.blur_size_px())))
-    if number >= _FIRST_NEAR_SHARD * FRAMES_PER_SHARD:
-        widest = min(widest, _NEAR_PX)
-    random = np.random.default_rng([22, number])
-    size = float(np.exp(random.uniform(*np.log([_NARROWEST_PX, max(widest, 2.0)]))))
-    sign = -1.0 if plan.side == "near" else 1.0
-    board = dataclasses.replace(scene.layers[-1], blur_px=(sign * size, 0, 0), relief_px=None)
-    if _shows_boards_only(number):
-        board = _printed(board, sorted(folder.parent.glob("photographs/*.png")), random)
-    return LayeredScene((board,), scene.camera)
-
-
-def _printed(board: Layer, photographs: list[Path], random: np.random.Generator) -> Layer:
-    """Board with a photograph on it, or softened, or as it is."""
-    if photographs and random.random() < _PHOTOGRAPH_SHARE:
-        path = photographs[int(random.integers(len(photographs)))]
-        return photograph_board(path, board, random)
-    if random.random() > _SOFT_SHARE:
-        return board
-    sigma = FINENESS * float(np.exp(random.uniform(*np.log(_SOFT_PX))))
-    light, cover = (cv2.GaussianBlur(one, (0, 0), sigma) for one in (board.light, board.cover))
-    return dataclasses.replace(board, light=light, cover=cover)
+    return board_scene(number, plan, scene, folder.parent / "photographs")
 
 
 def _shows_board(number: int) -> bool:
     scene = not (scene_plan(number).fence or is_measured(number))
     every = number % _BOARD_EVERY == 0 and scene
-    return every or _shows_boards_only(number)
-
-
-def _shows_boards_only(number: int) -> bool:
-    return number >= FIRST_BOARD_SHARD * FRAMES_PER_SHARD
+    return every or shows_boards_only(number)
 
 
 def _light(
@@ -274,6 +240,22 @@ def _fitting_frames(fitting: Fitting, random: np.random.Generator) -> Iterator[R
         elif index == 2:
             one = dataclasses.replace(one, known_noise=noise * np.exp(random.normal(0, 0.1)))
         yield one
+    if random.random() < _BREATHING_SHARE:
+        yield _breathing(recorded(fitting, fitting.light, random), random)
+
+
+def _breathing(one: Recorded, random: np.random.Generator) -> Recorded:
+    """Second frame of a pair of focus settings, which was brought to the scale of the first."""
+    scale = random.uniform(*_BREATHING)
+    shift = (np.array(one.frame.shape[::-1]) / 2 - 0.5) * (1 - scale)
+    moved = np.column_stack([np.eye(2) * scale, shift])
+    size = one.frame.shape[::-1]
+    border = (float("nan"),) * 4
+    frame = cv2.warpAffine(one.frame, moved, size, flags=cv2.INTER_LANCZOS4, borderValue=border)
+    blur_px = scale * cv2.warpAffine(
+        one.blur_size_px, moved, size, flags=cv2.INTER_NEAREST, borderValue=border
+    )
+    return dataclasses.replace(one, frame=frame, blur_size_px=blur_px)
 
 
 def _in_eight_bits(frame: np.ndarray) -> np.ndarray:
@@ -298,10 +280,11 @@ def _with_small_part(one: Recorded, fits: bool, random: np.random.Generator) -> 
 
 def _features(
     one: Recorded, levels: _Levels, infinity_px: float, camera: Camera | None
-) -> tuple[np.ndarray, float, float] | None:
+) -> tuple[np.ndarray, np.ndarray, float, float] | None:
     """What the check is given, the error of what is sure, and how much of the frame that is.
 
-    The error is the median, as a share of the inverse depth. None if there is too little to see.
+    What it is given are the features of few windows, and those of more. The error is the median, as
+    a share of the inverse depth. None if there is too little to see.
     """
     bank = levels.banks.bank
     if min(one.frame.shape) < 2 * _WINDOW_PX or len(bank.stack) < _FEWEST:
@@ -321,9 +304,8 @@ def _features(
     size_px, confidence = estimate.blur_size_px, estimate.confidence
     misfit = work.frame_cost.misfit
     checked = getattr(work.decoded, "checked", confidence)
-    looks = levels.check.features(work.observation, misfit, estimate.level, checked)
-    *_, features = [None, *looks]
-    if features is None:
+    looks = list(levels.check.features(work.observation, misfit, estimate.level, checked))
+    if not looks:
         return None
     # The inverse depth is linear in the blur size; near infinity nothing is told apart.
     left_px = np.maximum(np.abs(infinity_px - size_px), _NEAR_INFINITY_PX)
@@ -331,7 +313,7 @@ def _features(
     known = np.isfinite(error)
     sure = known & (confidence >= _CONFIDENT)
     median = float(np.median(error[sure])) if sure.sum() > _ENOUGH else 0.0
-    return features, median, float(sure.sum() / max(known.sum(), 1))
+    return looks[0], looks[-1], median, float(sure.sum() / max(known.sum(), 1))
 
 
 def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arrays:
@@ -365,7 +347,7 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
     return {name: np.array(values) for name, values in found.items()}
 
 
-_ARRAYS = ("features", "error", "coverage", "cause", "kind", "strength", "number")
+_ARRAYS = ("few_windows", "features", "error", "coverage", "cause", "kind", "strength", "number")
 MISFITS_DATA = Data(
-    "misfits", _compute_shard, (SCENES,), ("measured", "scenes", "banks", "misfits")
+    "misfits", _compute_shard, (SCENES,), ("measured", "scenes", "banks", "boards", "misfits")
 )

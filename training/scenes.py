@@ -52,6 +52,9 @@ _FENCED_NEAR = 0.15
 FIRST_MEASURED_SHARD = 300
 # From this one on the check of fit is shown boards only, sharp ones and soft ones.
 FIRST_BOARD_SHARD = 400
+# From this one on its boards have noise or bricks on them, through the masks that are common.
+FIRST_NOISE_SHARD = 460
+_COMMON_MASKS = ("levin", "zhou", "four_hole")
 _MEASURED_NEAR = 0.15
 _MORE_OFTEN = {"zhou": 2.0, "four_hole": 2.0}
 # Blur is kept in 16 bits.
@@ -110,6 +113,8 @@ def scene_plan(number: int) -> ScenePlan:
     if fenced:
         weights *= [_MORE_OFTEN.get(name, 1.0) for name in mask_names()]
     mask = str(random.choice(mask_names(), p=weights / weights.sum()))
+    if number >= FIRST_NOISE_SHARD * FRAMES_PER_SHARD:
+        mask = _COMMON_MASKS[number % len(_COMMON_MASKS)]
     if fenced:
         fence = str(random.choice([*FENCES, ""], p=_FENCE_SHARES))
         side = "near" if random.random() < _FENCED_NEAR else "far"

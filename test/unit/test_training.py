@@ -22,7 +22,8 @@ def training(checkout):
     """The program's modules, as they import each other."""
     folder = str(checkout / "training")
     sys.path.insert(0, folder)
-    names = ("shards", "scenes", "costs", "pictures", "windows", "calibration", "places", "train")
+    names = ("shards", "scenes", "boards", "costs", "pictures", "windows", "calibration", "places")
+    names += ("train",)
     yield {name: importlib.import_module(name) for name in names}
     sys.path.remove(folder)
 
@@ -174,6 +175,24 @@ def test_what_tells_two_surfaces_is_shown_rooms_behind_nets(training, few_frames
     two = found["two"] == 1
     assert (found["more"][two] - found["less"][two] >= 2).all()
     assert ((found["share"][two] >= 0.05) & (found["share"][two] <= 0.95)).all()
+
+
+def test_boards_of_noise_fill_the_frame_alone_or_behind_a_card(training, monkeypatch, tmp_path):
+    scenes, boards = training["scenes"], training["boards"]
+    monkeypatch.setattr(scenes, "FRAME_PX", 96)
+    first = scenes.FIRST_NOISE_SHARD * scenes.FRAMES_PER_SHARD
+    masks, counts, small = set(), [], []
+    for number in range(first, first + 24):
+        plan = scenes.scene_plan(number)
+        scene = boards.board_scene(number, plan, scenes.build_scene(plan)[0], tmp_path)
+        sizes = scene.blur_size_px()
+        assert np.isfinite(sizes).all() and np.ptp(np.sign(sizes)) == 0
+        assert scene.all_in_focus().std() > 0.01
+        masks.add(plan.mask)
+        counts.append(len(scene.layers))
+        small.append(np.abs(sizes).max() < 6)
+    assert masks == {"levin", "zhou", "four_hole"}
+    assert set(counts) == {1, 2} and 0.5 < np.mean(small) < 1
 
 
 def test_training_never_sees_the_scenes_of_the_benchmarks(training):
