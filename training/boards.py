@@ -6,7 +6,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 from measured import photograph_board
-from scenes import FIRST_BOARD_SHARD, FIRST_NOISE_SHARD, FRAMES_PER_SHARD, ScenePlan
+from scenes import (
+    FIRST_BOARD_SHARD,
+    FIRST_NEAR_SHARD,
+    FIRST_NOISE_SHARD,
+    FRAMES_PER_SHARD,
+    ScenePlan,
+)
 
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.simulation.layered import LayeredScene
@@ -14,8 +20,6 @@ from coded_aperture_ros.simulation.layered.tracing import FINENESS, Layer, prefi
 
 _NARROWEST_PX = 1.2
 _WIDEST_PX = 21.0
-# From this shard of boards on their blur is small: there masks are told apart the least.
-_FIRST_NEAR_SHARD = 440
 _NEAR_PX = 6.0
 # How many boards are soft, and the Gauss filter that they are softened by.
 _SOFT_SHARE = 0.7
@@ -60,7 +64,7 @@ def board_scene(
     has_noise = number >= FIRST_NOISE_SHARD * FRAMES_PER_SHARD
     random = np.random.default_rng([22, number])
     widest = float(np.nanmax(np.abs(scene.blur_size_px())))
-    near = number >= _FIRST_NEAR_SHARD * FRAMES_PER_SHARD
+    near = number >= FIRST_NEAR_SHARD * FRAMES_PER_SHARD
     if near and not (has_noise and random.random() > _NEAR_SHARE):
         widest = min(widest, _NEAR_PX)
     size = float(np.exp(random.uniform(*np.log([_NARROWEST_PX, max(widest, 2.0)]))))

@@ -52,6 +52,8 @@ _FENCED_NEAR = 0.15
 FIRST_MEASURED_SHARD = 300
 # From this one on the check of fit is shown boards only, sharp ones and soft ones.
 FIRST_BOARD_SHARD = 400
+# From this one on blur of boards is small: there masks are told apart the least.
+FIRST_NEAR_SHARD = 440
 # From this one on its boards have noise or bricks on them, through the masks that are common.
 FIRST_NOISE_SHARD = 460
 _COMMON_MASKS = ("levin", "zhou", "four_hole")

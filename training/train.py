@@ -213,8 +213,9 @@ def _parser() -> argparse.ArgumentParser:
         "--further",
         type=Path,
         metavar="NPZ",
-        help="weights' file to fit further (refinement, second); refinement: it teaches what is "
-        "not rare, and export takes the mean of the weights before and after",
+        help="weights' file to fit further (refinement, second, check); refinement: it teaches "
+        "what is not rare, and export takes the mean of the weights before and after; check: half "
+        "of its networks stay as they are",
     )
     group.add_argument("--truth-only", action="store_true", help="refinement: no teacher")
     group.add_argument(

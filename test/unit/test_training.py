@@ -638,26 +638,46 @@ def test_the_check_is_fitted_and_is_what_the_package_runs(torch, monkeypatch, ru
             "number": np.arange(400) // 4,
         }
         rows["features"][:, 0] += 3 * (cause < 0)
+        rows["few_windows"] = rows["features"] + random.normal(0, 0.1, (400, 12)).astype(np.float32)
         path = misfits.MISFITS_DATA.path(tmp_path, shard)
         path.parent.mkdir(exist_ok=True)
         np.savez(path, **rows)
-    run("check", "fit", "export", "--folder", tmp_path, "--shards", 0, 1, "--held-back", 1, 2)
+    of_task = ("--folder", tmp_path, "--shards", 0, 1, "--held-back", 1, 2)
+    run("check", "fit", "export", *of_task)
 
-    weights = dict(np.load(tmp_path / "fit.npz"))
-    monkeypatch.setattr(health, "read_shipped", lambda *_: weights)
-    health._weights.cache_clear()
-    found = np.stack([health.outputs_of(features) for features in rows["features"]])
-    health._weights.cache_clear()
-    state = torch.load(tmp_path / "state" / "check.pt", weights_only=True)
-    members = check.Members(12).eval()
-    members.load_state_dict(state["average"])
-    with torch.no_grad():
-        given = members.standardised(rows["features"])
-        expected = members(given.expand(len(members.networks), -1, -1)).mean(0).numpy()
-    np.testing.assert_allclose(found, expected, atol=0.05)
+    def found_by(path):
+        weights = dict(np.load(path))
+        monkeypatch.setattr(health, "read_shipped", lambda *_: weights)
+        health._weights.cache_clear()
+        found = np.stack([health.outputs_of(features) for features in rows["features"]])
+        health._weights.cache_clear()
+        return weights, found
+
+    def state_of(name):
+        state = torch.load(tmp_path / "state" / f"{name}.pt", weights_only=True)
+        return state["step"], check.merged(state["average"])
+
+    def expected_of(arrays):
+        return check.Members(arrays).eval().means(torch.tensor(rows["features"])).numpy()
+
+    weights, found = found_by(tmp_path / "fit.npz")
+    steps, arrays = state_of("check")
+    np.testing.assert_allclose(found, expected_of(arrays), atol=0.05)
     # It tells what fits, by the feature that shows it.
     assert np.mean((found[:, 0] > 0) == (rows["cause"] < 0)) > 0.85
-    assert state["step"] == 60 * 2
+    assert steps == 60
+
+    # Half of the networks stay as they are, but for rounding.
+    further = tmp_path / "further.npz"
+    run("check", "fit", "export", *of_task, "--further", tmp_path / "fit.npz", "--weights", further)
+    other, found = found_by(further)
+    before = check.unpacked({name: values for name, values in weights.items() if values.ndim})
+    _, fitted = state_of("check_further")
+    share = check._FURTHER.share
+    used = {name: before[name] + share * (fitted[name] - before[name]) for name in fitted}
+    np.testing.assert_allclose(found, expected_of(used), atol=0.05)
+    changed = np.abs(other["weight0"].astype(int) - weights["weight0"]).max(axis=(1, 2))
+    assert changed[:4].max() <= 1 < changed[4:].min()
 
 
 @pytest.mark.slow

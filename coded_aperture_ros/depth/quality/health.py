@@ -49,7 +49,7 @@ CAUSE_TEXTS = {
 FIT_THRESHOLD = 0.5
 # Confidence is lowered from the first health on, down to that of a guess at the second, with the
 # square of the health between them: then next to nothing is published of frames that do not fit.
-_TRUSTED = 0.7
+TRUSTED = 0.7
 WITHHOLD_BELOW = 0.2
 _CHANCE_CONFIDENCE = 0.2
 # Largest blur size that the network was trained for, px, and limits of its features before and
@@ -125,7 +125,7 @@ class Health:
 
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
-        share = (self.value - WITHHOLD_BELOW) / (_TRUSTED - WITHHOLD_BELOW)
+        share = (self.value - WITHHOLD_BELOW) / (TRUSTED - WITHHOLD_BELOW)
         left = np.float32(np.clip(share, 0, 1) ** 2)
         if left >= 1:
             return confidence
@@ -236,7 +236,7 @@ class FitCheck:
         outputs = None
         for features in self.features(observation, misfit, level, confidence):
             outputs = (self._own_fit or outputs_of)(features)
-            if _health_of(outputs).value > _TRUSTED:
+            if _health_of(outputs).value > TRUSTED:
                 break
         if outputs is None:
             return self._health
