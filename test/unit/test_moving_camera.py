@@ -101,6 +101,21 @@ def test_pose_and_parallax_make_depth_better():
     assert [step.begun for step in steps] == [True] + [False] * 7
 
 
+@pytest.mark.parametrize("told", [WAY, None])
+def test_the_exposure_may_change(told):
+    memories = [MovingMemory(VIEW, frames=8) for _ in range(2)]
+    for index, pose in enumerate(WAY):
+        light, depth = seen(pose)
+        own = blurred_belief(depth, index)
+        given = None if told is None else told[index]
+        factors = 1.0, np.float32(0.7 if index % 2 else 1.0)
+        errors = [
+            error_of(memory.add(factor * light, own, given).belief, depth)
+            for memory, factor in zip(memories, factors, strict=True)
+        ]
+    assert errors[1] < 1.2 * errors[0]
+
+
 def test_motion_is_found_in_the_frames():
     steps, errors, alone = walk(None)
     assert errors[-1] < 0.7 * alone[-1]

@@ -19,6 +19,8 @@ _STEP_VARIANCE = 1e-4
 # Brightness that may differ between two frames of the same point, as a share, and the darkness
 # below which shares mean nothing, linear light.
 _LIGHT_SHARE, _DARK = 0.15, 0.02
+# Of so many places one is enough for a median.
+_SPARSE = 8
 # What is nearer hides what is farther if it is at least so sure, as a share of the surest there.
 _HIDES = 0.7
 _LEAST_CONFIDENCE = 0.02
@@ -125,7 +127,7 @@ def carried(
     belief : Belief
     light, now : ndarray, float32 [rows, columns]
         Smoothed brightness of the past frame and of the present one, linear light. Where it
-        differs, something else has come before it.
+        differs by more than the exposure, something else has come before it.
     view : Pinhole
         Of both frames.
     motion : ndarray, float64 [4, 4]
@@ -143,8 +145,8 @@ def carried(
     inverse = belief.inverse[inside]
     variance = (belief.variance[inside] + _STEP_VARIANCE * np.square(inverse)) * np.square(nearer)
     inverse = np.asarray(inverse * nearer, np.float32)
-    seen = now.ravel()[target]
-    differs = (light[inside] - seen) / (_LIGHT_SHARE * (seen + _DARK))
+    seen, was = now.ravel()[target], light[inside]
+    differs = (was * exposure_ratio(seen, was) - seen) / (_LIGHT_SHARE * (seen + _DARK))
     confidence = np.float32(keep) * belief.confidence[inside] * np.exp(-0.5 * np.square(differs))
     surest = np.zeros(rows * columns, np.float32)
     np.maximum.at(surest, target, confidence)
@@ -159,6 +161,16 @@ def carried(
     for values, there in zip(maps, (inverse, variance, confidence), strict=True):
         values[target[first]] = there[first]
     return _without_cracks(Belief(*maps.reshape(3, rows, columns)))
+
+
+def exposure_ratio(now: FloatArray, then: FloatArray) -> np.float32:
+    """By how much a frame is brighter than another, by the median of the same places.
+
+    1 where there are none. Cameras change their exposure by themselves.
+    """
+    some_now, some_then = now[..., ::_SPARSE], then[..., ::_SPARSE]
+    lit = some_then > _DARK * _DARK
+    return np.float32(np.median(some_now[lit] / some_then[lit])) if lit.any() else np.float32(1)
 
 
 def _without_cracks(belief: Belief) -> Belief:

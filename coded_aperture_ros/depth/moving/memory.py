@@ -30,6 +30,9 @@ _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 _WRONG, _WRONG_BY = 2.0, 2.0
 # Frames are smoothed, which leaves so much of their noise.
 _SMOOTHING_PX, _SMOOTHED = 0.7, 0.4
+# Least grey of 8 bits that the middle of a frame has where landmarks are looked for, and the ratio
+# of the medians of two frames from which their exposures differ.
+_MIDDLE_GREY, _SAME_EXPOSURE = 80, 1.1
 # Every fourth row and column is enough for a median.
 _SPARSE = 4
 
@@ -132,6 +135,8 @@ class MovingMemory:
         self._last: _Last | None = None
         self._key: _Key | None = None
         self._seen: tuple[Seen, ...] = ()
+        # Median of the last frame's square roots of light, and greys for one.
+        self._exposure: tuple[float, float] | None = None
 
     def add(
         self, light: FloatArray, belief: Belief, pose: DoubleArray | None = None, noise: float = 0.0
@@ -151,10 +156,11 @@ class MovingMemory:
         """
         smooth = cv2.GaussianBlur(light, (0, 0), _SMOOTHING_PX)
         roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
-        image = np.rint(255 * np.minimum(roots, 1)).astype(np.uint8)
+        middle = float(np.median(roots[::_SPARSE, ::_SPARSE]))
+        image = np.rint(np.minimum(roots * self._greys_of(middle), 255)).astype(np.uint8)
         last, key, moved = self._last, self._key, self._moved(image, pose)
         if last is None or key is None or moved.since is None:
-            self.reset()
+            self._seen = ()
             step = Step(belief, np.eye(4), begun=True, refused=moved.refused)
         else:
             matrix = moved.since @ np.linalg.inv(key.since)
@@ -163,13 +169,25 @@ class MovingMemory:
             past = carried(last.step.belief, last.light, smooth, self._view, matrix, keep)
             together = fused(past, belief, _AGREEMENT)
             misfit = 1.0 if moved.by_landmarks is None else moved.by_landmarks.misfit
-            seen_noise = _SMOOTHED * noise / (2 * float(np.median(roots[::_SPARSE, ::_SPARSE])))
+            seen_noise = _SMOOTHED * noise / (2 * middle)
             together = self._with_parallax(together, roots, place, (seen_noise, misfit))
             step = Step(together, place, moved.by_landmarks, False, moved.refused, moved.given)
         self._last = _Last(step, smooth, pose)
         self._keep_seen(Seen(roots, step.pose), step.belief)
         self._follow(image, step, moved)
         return step
+
+    def _greys_of(self, middle: float) -> float:
+        """Greys of 8 bits for a square root of light, by the median of a frame's.
+
+        So many that dark scenes have landmarks, too; else only changed exposures change it: what
+        comes into view changes the median by less.
+        """
+        before, greys = self._exposure or (middle, max(_MIDDLE_GREY / middle, 255.0))
+        if not 1 / _SAME_EXPOSURE < middle / before < _SAME_EXPOSURE:
+            greys *= before / middle
+        self._exposure = middle, greys
+        return greys
 
     def _moved(self, image: NDArray[np.uint8], pose: DoubleArray | None) -> _Moved:
         """Find the motion since the key frame, from the last motion on, or check a given one."""

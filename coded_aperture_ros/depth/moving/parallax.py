@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.depth.moving.belief import Belief
+from coded_aperture_ros.depth.moving.belief import Belief, exposure_ratio
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 
 # Window within which the depth is one, px of the map, and how many of its pixels tell something of
@@ -87,8 +87,9 @@ def by_parallax(
     epipolar line, by inverse depth.
     """
     motion = np.linalg.inv(seen.pose) @ pose
-    noise = max(2**0.5 * noise, _LEAST_NOISE)
     inverse = np.maximum(belief.inverse, _LEAST_INVERSE)
+    now = now / _brighter(_Line(now, seen, view, motion, noise, _SPARSE), inverse)
+    noise = max(2**0.5 * noise, _LEAST_NOISE)
     inverse = _likeliest_around(_Line(now, seen, view, motion, noise, _SPARSE), inverse)
     line = _Line(now, seen, view, motion, noise)
     match = line.match(inverse, _FINEST_PX * max(misfit, 1.0) ** 0.5)
@@ -102,6 +103,13 @@ def by_parallax(
     confidence = _MOST_CONFIDENCE * np.exp(-np.maximum(excess, 0) / _MISFIT_SCALE)
     confidence *= (1 - match.hidden) * tolerated / (tolerated + variance)
     return Belief(np.asarray(found, np.float32), variance, np.asarray(confidence, np.float32))
+
+
+def _brighter(line: "_Line", inverse: FloatArray) -> np.float32:
+    """By how much the present frame is brighter than the earlier one, in square roots of light."""
+    shown = line.shown(inverse[::_SPARSE, ::_SPARSE])
+    inside = shown >= 0
+    return exposure_ratio(line.now[inside], shown[inside])
 
 
 def _likeliest_around(line: "_Line", inverse: FloatArray) -> FloatArray:
@@ -174,15 +182,15 @@ class _Line:
         every: int = 1,
     ) -> None:
         self.noise = np.float32(noise)
-        self._now, self._roots = now[::every, ::every], seen.roots
+        self.now, self._roots = now[::every, ::every], seen.roots
         self._transfer = Transfer(view, motion, every)
         self._window = (_WINDOW_PX // every // 2 * 2 + 1,) * 2
 
     def left_over(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean squared difference in the window, and the share of it that is outside."""
-        shown = self._shown(inverse)
+        shown = self.shown(inverse)
         outside = shown < 0
-        difference = np.where(outside, 0, shown - self._now)
+        difference = np.where(outside, 0, shown - self.now)
         return self._mean(difference * difference), self._mean(outside)
 
     def match(self, inverse: FloatArray, finest_px: float) -> _Match:
@@ -190,10 +198,10 @@ class _Line:
         px_per = np.maximum(self._transfer.parallax(inverse), np.float32(1e-2))
         farthest = np.float32(0.3) * np.maximum(inverse, np.float32(0.05))
         step = np.minimum(_STEP_PX / px_per, farthest)
-        before, here, after = (self._shown(inverse + sign * step) for sign in (-1, 0, 1))
+        before, here, after = (self.shown(inverse + sign * step) for sign in (-1, 0, 1))
         inside = np.minimum(np.minimum(before, here), after) >= 0
         slope = np.where(inside, (after - before) / (2 * step * px_per), 0)
-        difference = np.where(inside, here - self._now, 0)
+        difference = np.where(inside, here - self.now, 0)
         squares, covaried, left = (
             self._mean(product)
             for product in (slope * slope, slope * difference, difference * difference)
@@ -208,7 +216,7 @@ class _Line:
         hidden = self._mean(~inside)
         return _Match(change, information, squares, hidden, px_per, left, covaried)
 
-    def _shown(self, inverse: FloatArray) -> FloatArray:
+    def shown(self, inverse: FloatArray) -> FloatArray:
         """The earlier frame where each pixel's point is in it; -1 outside of it."""
         at = self._transfer.columns_rows(inverse)
         shown: FloatArray = cv2.remap(
