@@ -54,10 +54,11 @@ def map_in_processes(
                 "a process died, perhaps for lack of memory: use fewer --jobs"
             ) from error
         except BaseException:
-            # Items take minutes: do not wait for those in work.
-            pool.shutdown(wait=False, cancel_futures=True)
+            # Items take minutes: end those in work. The pool's thread then ends by itself: were it
+            # still at work when Python exits, both would close the same pipe.
             for process in multiprocessing.active_children():
                 process.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
             raise
     return [future.result() for future in futures]
 

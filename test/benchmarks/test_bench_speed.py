@@ -76,7 +76,7 @@ def test_everything_is_measured_in_one_run(small, capsys, tmp_path):
     assert (main["size"], main["map_size"]) == ([80, 96], [80, 96])
     assert list(main["stages"]) == [
         *("observe", "static average", "spectra", "energies", "likelihood", "temporal", "decode"),
-        *("quality of fit", "periodic texture", "unknown", "metric", "motion"),
+        *("quality of fit", "periodic texture", "unknown", "metric"),
     ]
     for times in (*main["stages"].values(), main["engine"], main["total"]):
         assert times["samples"] == 5

@@ -89,7 +89,6 @@ class FrameWork:
             "periodic texture": 0,
             "unknown": 0,
             "metric": 2 * one_map,  # blur size, depth
-            "motion": 0,
         }
         if not setting.temporal_frames:
             stages = {name: count for name, count in stages.items() if name not in TEMPORAL_STAGES}
