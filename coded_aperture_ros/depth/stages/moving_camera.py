@@ -71,17 +71,17 @@ class MovingCamera(Stage):
 
     def __call__(self, work: Work) -> None:
         """Change level, deviation and confidence to those of all frames so far."""
-        shape = work.level.shape
+        shape, grey = work.level.shape, work.observation.grey  # not on a device
         size = min(shape[0], _LARGEST[0]), min(shape[1], _LARGEST[1])
         level, deviation, confidence = (
             _resized(values, size) for values in (work.level, work.deviation, work.confidence)
         )
         inverse, per_level = self._inverse(level), self._per_level(level)
         own = Belief(inverse, np.square(deviation * per_level), confidence)
-        light = cv2.resize(work.grey, size[::-1], interpolation=cv2.INTER_AREA)
+        light = cv2.resize(grey, size[::-1], interpolation=cv2.INTER_AREA)
         asked = work.frame.pose if self._takes_poses else None
         pose = None if asked is None else asked()
-        noise = work.observation.noise.typical * (light.size / work.grey.size) ** 0.5
+        noise = work.observation.noise.typical * (light.size / grey.size) ** 0.5
         step = self._memory_for(size).add(light, own, pose, noise)
         work.camera_step = step
         if step.begun:
