@@ -15,6 +15,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.estimate import DepthEstimate
+from coded_aperture_ros.depth.quality.health import middle_part
 from coded_aperture_ros.depth.quality.mask_test import PARTS, TURNS_DEG, MaskLook, MaskTest
 from coded_aperture_ros.frames import Frame, grey_image
 from coded_aperture_ros.frames.noise import NOISE_FLOOR
@@ -37,8 +38,6 @@ _LEAST_GAIN = 0.4
 # Least loss of health since the first minutes, and the most that it is then.
 _LEAST_LOSS = 0.2
 _LOW_HEALTH = 0.6
-# Margin on every side that is left out where PSFs change over the image, as a share of the frame.
-_MARGIN_SHARE = 0.3
 # Side of the small pictures by which frames are compared, px, and the mean difference of those that
 # are alike, as a share of their light.
 _SMALL_PX = 16
@@ -118,8 +117,7 @@ class DriftWatch:
         self._seen_s = now_s
         grey, unusable = grey_image(frame.light, saturation)
         if self._middle_only:
-            top, left = (int(_MARGIN_SHARE * length) for length in grey.shape)
-            part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
+            part = middle_part(grey.shape)
             grey, unusable = grey[part], None if unusable is None else unusable[part]
         if self._is_alike(grey):
             return

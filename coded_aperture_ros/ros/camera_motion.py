@@ -8,7 +8,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import DoubleArray
-from coded_aperture_ros.depth.moving import Step, Trajectory
+from coded_aperture_ros.depth.moving import Place, Step, Trajectory
 from coded_aperture_ros.ros.messages import odometry_from_place, stamp_ns
 from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
 
@@ -45,7 +45,9 @@ class CameraMotion:
 
     def restart(self) -> None:
         """Begin the way anew, with the next frame."""
-        self._trajectory, self._moved_ns = Trajectory(), 0
+        self._trajectory = Trajectory()
+        self._place: Place | None = None
+        self._moved_ns = self._since_ns = 0
 
     def pose_of(self, header: Header, fixed_frame: str) -> Callable[[], DoubleArray | None] | None:
         """What gives the camera's pose at a stamp, when it is needed; None without poses."""
@@ -59,11 +61,14 @@ class CameraMotion:
         stamp = stamp_ns(header)
         return functools.partial(self._transforms.pose, fixed_frame, header.frame_id, stamp)
 
-    def odometry(self, step: Step | None, header: Header) -> Odometry | None:
-        """Where the camera is after a frame; None where its motion is not known."""
+    def follow(self, step: Step | None, header: Header) -> None:
+        """Go on by what a frame tells of the motion; None: it is not followed."""
         self.note = str(step or "")
-        if step is None:
+        self._place = None if step is None else self._trajectory.add(step)
+        self._since_ns, self._moved_ns = stamp_ns(header) - self._moved_ns, stamp_ns(header)
+
+    def odometry(self, header: Header) -> Odometry | None:
+        """Where the camera is after the last frame; None where its motion is not known."""
+        if self._place is None:
             return None
-        since_ns, self._moved_ns = stamp_ns(header) - self._moved_ns, stamp_ns(header)
-        place = self._trajectory.add(step)
-        return None if place is None else odometry_from_place(place, header, since_ns * 1e-9)
+        return odometry_from_place(self._place, header, self._since_ns * 1e-9)

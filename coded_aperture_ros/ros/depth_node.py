@@ -241,8 +241,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if estimate.depth_m is None or estimate.std_dev_m is None:
             raise InputError("the bank's levels have no depth: use a bank for this camera file")
         depth_m = limit_depth(estimate.depth_m, *self._range_m)
-        odometry = self._camera_motion.odometry(estimate.camera_step, header)
-        if odometry is not None and self.wants(_ODOMETRY):
+        self._camera_motion.follow(estimate.camera_step, header)
+        if self.wants(_ODOMETRY) and (odometry := self._camera_motion.odometry(header)):
             self.send(_ODOMETRY, odometry)
         self._send_maps(estimate, depth_m, header)
         self._send_layers(estimate, header)

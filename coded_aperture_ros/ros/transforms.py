@@ -38,13 +38,10 @@ class _Transform:
     @property
     def matrix(self) -> DoubleArray:
         """Turns points of the child into those of the parent [4, 4]."""
-        x, y, z, w = self.turn
+        from scipy.spatial.transform import Rotation  # poses are told to few
+
         matrix = np.eye(4)
-        matrix[:3, :3] = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
+        matrix[:3, :3] = Rotation.from_quat(self.turn).as_matrix()
         matrix[:3, 3] = self.place
         return matrix
 

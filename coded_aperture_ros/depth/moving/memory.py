@@ -171,7 +171,9 @@ class MovingMemory:
             misfit = 1.0 if moved.by_landmarks is None else moved.by_landmarks.misfit
             seen_noise = _SMOOTHED * noise / (2 * middle)
             together = self._with_parallax(together, roots, place, (seen_noise, misfit))
-            step = Step(together, place, moved.by_landmarks, False, moved.refused, moved.given)
+            step = Step(
+                together, place, moved.by_landmarks, refused=moved.refused, told_by_pose=moved.given
+            )
         self._last = _Last(step, smooth, pose)
         self._keep_seen(Seen(roots, step.pose), step.belief)
         self._follow(image, step, moved)

@@ -165,6 +165,12 @@ def unchecked_reason(stack: PsfStack) -> str:
     return ""
 
 
+def middle_part(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Part of a frame for which PSFs of the middle of the image hold."""
+    top, left = (int(_MARGIN_SHARE * length) for length in shape[:2])
+    return slice(top, shape[0] - top), slice(left, shape[1] - left)
+
+
 class FitCheck:
     """Checks the frames of a video, or single ones, against a bank's PSFs.
 
@@ -275,10 +281,8 @@ class FitCheck:
         known = observation.noise.sigma if observation.noise.highest is None else 0.0
         statistics = frame_statistics(grey, noise, known)
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
-        top, left = (
-            int(_MARGIN_SHARE * length) if self._middle_only else 0 for length in grey.shape
-        )
-        part = np.s_[top : grey.shape[0] - top, left : grey.shape[1] - left]
+        part = middle_part(grey.shape) if self._middle_only else np.s_[0:, 0:]
+        top, left = (side.start for side in part)
         unusable = None if observation.unusable is None else observation.unusable[part]
         for cells in _CELLS:
             windows = self._test.score(grey[part], noise, unusable, cells)
