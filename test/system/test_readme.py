@@ -67,7 +67,7 @@ def first_sample():
         ("README.md", 6),
         pytest.param("docs/start.md", 8, marks=pytest.mark.slow),
         pytest.param("docs/commands.md", 19, marks=pytest.mark.slow),
-        pytest.param("docs/webcam.md", 19, marks=pytest.mark.slow),
+        pytest.param("docs/build.md", 19, marks=pytest.mark.slow),
         pytest.param("docs/will_it_work.md", 2, marks=pytest.mark.slow),
     ],
 )

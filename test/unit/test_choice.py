@@ -217,7 +217,7 @@ def test_field_curvature_is_simulated_towards_the_corner():
 
 @pytest.mark.parametrize("path", REFERENCES, ids=lambda path: path.stem)
 def test_the_page_shows_what_the_file_states(path, checkout):
-    text = (checkout / "docs" / "reference_cameras.md").read_text()
+    text = (checkout / "docs" / "data_sheets.md").read_text()
     stated = yaml.safe_load(path.read_text())["reference"]
     line = next(one for one in text.splitlines() if one.startswith(f"| `{path.stem}` |"))
     cells = [cell.strip() for cell in line.strip("|").split("|")]
