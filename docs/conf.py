@@ -37,7 +37,6 @@ numpydoc_class_members_toctree = False
 OUTSIDE = {
     "readme": "README.md",
     "contributing": "CONTRIBUTING.md",
-    "changelog": "CHANGELOG.md",
     "benchmarks": "benchmarks/README.md",
 }
 

@@ -41,11 +41,13 @@ def maintainer(folder: Path) -> Finding:
 
 
 def changelog(folder: Path) -> Finding:
-    """Look for a section of this version in the changelog."""
-    text = (folder / "CHANGELOG.md").read_text()
-    if re.search(rf"^## \[{re.escape(version_of(folder))}\]", text, re.MULTILINE):
-        return ("changelog", OK, f"has {version_of(folder)}")
-    said = f"call [Unreleased] in CHANGELOG.md {version_of(folder)}, with the date"
+    """Look for a section of this version in the changelog, as bloom will."""
+    version = version_of(folder)
+    text = (folder / "CHANGELOG.rst").read_text()
+    heading = rf"^{re.escape(version)} \(\d{{4}}-\d\d-\d\d\)\n-+$"
+    if re.search(heading, text, re.MULTILINE):
+        return ("changelog", OK, f"has {version}")
+    said = f"let catkin_prepare_release call Forthcoming in CHANGELOG.rst {version} (date)"
     return ("changelog", MAINTAINER, said)
 
 

@@ -55,7 +55,7 @@ def test_commands_in_running_text_can_be_typed(documents):
     typed = [line for text in documents.values() for line in typed_in_running_text(text)]
     assert ["simulate", "--random", "7", "-o", "scene.png"] in typed
     for name, text in documents.items():
-        for line in [] if name == "CHANGELOG.md" else typed_in_running_text(text):
+        for line in typed_in_running_text(text):
             try:
                 parsed(*line)
             except (SystemExit, UsageError) as error:
@@ -81,8 +81,6 @@ def test_the_options_in_the_documents_exist(documents, checkout, capsys):
     known = set(re.findall(r"--[a-z][a-z-]*[a-z]", shown)) | of_others
     benchmarks = "".join(path.read_text() for path in (checkout / "benchmarks").rglob("*.py"))
     for name, text in documents.items():
-        if name == "CHANGELOG.md":  # which names what was dropped, too
-            continue
         named = {
             option
             for code in re.findall(r"`([^`\n]+)`", text)

@@ -3,10 +3,11 @@
 import re
 import runpy
 import shutil
+from xml.etree import ElementTree
 
 import pytest
 
-FILES = ("package.xml", "setup.py", "CITATION.cff", "CHANGELOG.md", "LICENSE")
+FILES = ("package.xml", "setup.py", "CITATION.cff", "CHANGELOG.rst", "LICENSE")
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def release(checkout, tmp_path):
 
 
 def change(path, pattern, text):
-    path.write_text(re.sub(pattern, text, path.read_text()))
+    path.write_text(re.sub(pattern, text, path.read_text(), flags=re.MULTILINE))
 
 
 def test_only_a_maintainer_can_supply_what_is_missing(release):
@@ -41,7 +42,8 @@ def test_a_named_maintainer_and_a_finished_changelog_are_enough(release):
     for name in ("package.xml", "setup.py"):
         change(folder / name, "maintainers@example.org", "someone@robots.example")
     version = script["version_of"](folder)
-    change(folder / "CHANGELOG.md", r"## \[Unreleased\]", f"## [{version}] - 2030-01-01")
+    heading = f"{version} (2030-01-01)"
+    change(folder / "CHANGELOG.rst", "^Forthcoming\n-+$", f"{heading}\n{'-' * len(heading)}")
     assert script["maintainer"](folder)[1] == script["changelog"](folder)[1] == "ok"
 
 
@@ -54,3 +56,21 @@ def test_another_licence_is_wrong(release):
 def test_a_folder_that_is_no_checkout_is_told(release):
     script, folder = release
     assert script["tree"](folder)[1:] == ("WRONG", "not a checkout of git")
+
+
+@pytest.mark.filterwarnings("ignore:nodes.Node.traverse:DeprecationWarning")  # of catkin_pkg
+def test_the_changelog_is_one_that_bloom_reads(checkout):
+    """Its newest section is not released yet, or is that of the package's version."""
+    catkin = pytest.importorskip("catkin_pkg.changelog")
+    log = catkin.get_changelog_from_path(str(checkout))
+    assert log.package_name == "coded_aperture_ros"
+    newest = next(iter(log.foreach_version()))[0]
+    package = ElementTree.parse(checkout / "package.xml").findtext("version")
+    assert newest in (catkin.FORTHCOMING_LABEL, package)
+    assert len(log.get_content_of_version(newest)) > 20
+
+
+def test_the_changelog_is_short(checkout):
+    """What a user meets; the history is in git."""
+    sections = (checkout / "CHANGELOG.rst").read_text().split("\nForthcoming\n")[-1]
+    assert len(re.split(r"^\d+\.\d+\.\d+ \(", sections, flags=re.MULTILINE)[0].split()) < 1000
