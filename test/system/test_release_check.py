@@ -3,7 +3,6 @@
 import re
 import runpy
 import shutil
-from xml.etree import ElementTree
 
 import pytest
 
@@ -59,14 +58,23 @@ def test_a_folder_that_is_no_checkout_is_told(release):
 
 
 @pytest.mark.filterwarnings("ignore:nodes.Node.traverse:DeprecationWarning")  # of catkin_pkg
-def test_the_changelog_is_one_that_bloom_reads(checkout):
-    """Its newest section is not released yet, or is that of the package's version."""
-    catkin = pytest.importorskip("catkin_pkg.changelog")
-    log = catkin.get_changelog_from_path(str(checkout))
-    newest = next(iter(log.foreach_version()))[0]
-    package = ElementTree.parse(checkout / "package.xml").findtext("version")
-    assert newest in (catkin.FORTHCOMING_LABEL, package)
-    assert len(log.get_content_of_version(newest)) > 20
+def test_the_changelog_is_one_that_bloom_reads(release):
+    """What `catkin_prepare_release` does with it leaves a section of the version."""
+    script, folder = release
+    catkin = pytest.importorskip("catkin_pkg.package_version")
+    from catkin_pkg.changelog import get_changelog_from_path
+
+    version = script["version_of"](folder)
+    log = get_changelog_from_path(str(folder))
+    label = catkin.get_forthcoming_label(log.rst)
+    if label:
+        path = str(folder / "CHANGELOG.rst")
+        catkin.update_changelog_sections({"coded_aperture_ros": (path, log, label)}, version)
+    log = get_changelog_from_path(str(folder))
+    newest, _, content = next(iter(log.foreach_version()))
+    assert newest == version
+    assert len(content[0].bullets) > 10
+    assert script["changelog"](folder)[1] == "ok"
 
 
 def test_the_changelog_is_short(checkout):
