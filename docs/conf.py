@@ -3,9 +3,11 @@
 import os
 import re
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parent
 sys.path.insert(0, str(ROOT))
 # rosdoc2 builds from a copy that may lack what the nodes need; the library does not need it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -19,46 +21,66 @@ version = release = re.search(
 
 extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-exclude_patterns = ["_build", "generated"]
-html_theme = "alabaster"
-html_theme_options = {
-    "description": "Metric depth from a coded-aperture camera",
-    "page_width": "70em",
-}
+exclude_patterns = ["_build"]
+# rosdoc2 brings its own set of packages, without furo.
+html_theme = "furo" if find_spec("furo") else "alabaster"
+html_title = f"{project} {version}"
 
-myst_heading_anchors = 3
+myst_heading_anchors = 4
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_default_options = {"members": True, "show-inheritance": False}
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 
-# Documents that lie outside docs/, where readers of the sources look for them.
+# Documents outside docs/, where readers of the sources look for them; the site has copies.
 OUTSIDE = {
-    "readme": "README.md",
-    "contributing": "CONTRIBUTING.md",
-    "benchmarks": "benchmarks/README.md",
+    ROOT / "README.md": "readme",
+    ROOT / "CONTRIBUTING.md": "contributing",
+    ROOT / "CHANGELOG.rst": "changelog",
+    ROOT / "benchmarks" / "README.md": "benchmarks",
 }
+COPIES = DOCS / "generated"
 
 
-def read_from_outside(app, docname, source):
-    """Bring in a document from outside docs/, and let links between documents meet."""
-    path = ROOT / OUTSIDE.get(docname, f"docs/{docname}.md")
-    if not path.is_file():
-        return
-    pages = {ROOT / outside: f"{name}.md" for name, outside in OUTSIDE.items()}
+def text_for_site(path, folder):
+    """Text of a Markdown file with its links rewritten for a page in `folder`."""
 
     def link(match):
         target, mark, anchor = match[1].partition("#")
         if ":" in target or not target:
             return match[0]
         there = (path.parent / target).resolve()
-        found = pages.get(there) or os.path.relpath(there, ROOT / "docs")
-        return f"]({found}{mark}{anchor})"
+        if there in OUTSIDE:
+            there = COPIES / f"{OUTSIDE[there]}{there.suffix}"
+        return f"]({os.path.relpath(there, folder)}{mark}{anchor})"
 
-    source[0] = re.sub(r"\]\(([^)\s]+)\)", link, path.read_text())
+    return re.sub(r"\]\(([^)\s]+)\)", link, path.read_text())
+
+
+def copy_outside_documents():
+    """Write the copies, where their text has changed."""
+    COPIES.mkdir(exist_ok=True)
+    for path, name in OUTSIDE.items():
+        copy = COPIES / f"{name}{path.suffix}"
+        if not path.is_file():
+            copy.unlink(missing_ok=True)
+            continue
+        text = text_for_site(path, COPIES) if path.suffix == ".md" else path.read_text()
+        if not copy.is_file() or copy.read_text() != text:
+            copy.write_text(text)
+
+
+def lead_links_to_copies(app, docname, source):
+    """Let links of a page to documents outside docs/ lead to their copies."""
+    path = DOCS / f"{docname}.md"
+    if path.is_file() and path.parent != COPIES:
+        source[0] = text_for_site(path, path.parent)
+
+
+copy_outside_documents()
 
 
 def setup(app):
     """Register the above with Sphinx."""
-    app.connect("source-read", read_from_outside)
+    app.connect("source-read", lead_links_to_copies)

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Write what follows from the layers of the stages: a table for people, and the SROS 2 policy.
 
-    python scripts/generate_layers.py            writes docs/layers.md and config/sros2_policy.xml
+    python scripts/generate_layers.py            writes docs/topics.md and config/sros2_policy.xml
 
 A test compares both files with what this program would write.
 """
@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.stage import StageModule
 from coded_aperture_ros.depth.stages import stage_modules
 
 CHECKOUT = Path(__file__).resolve().parent.parent
-TABLE = CHECKOUT / "docs" / "layers.md"
+TABLE = CHECKOUT / "docs" / "topics.md"
 POLICY = CHECKOUT / "config" / "sros2_policy.xml"
 _HEAD = """# Layers: what is known of every pixel beside its depth
 
@@ -36,7 +36,7 @@ _POLICY_LINES = re.compile(
 
 
 def layer_table() -> str:
-    """Text of docs/layers.md."""
+    """Text of docs/topics.md."""
     rows = []
     for module in stage_modules():
         for spec in module.LAYERS:

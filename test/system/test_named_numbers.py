@@ -78,7 +78,7 @@ def unnamed(page):
     return found
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/accuracy.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/performance.md"])
 def test_every_number_of_error_names_its_camera_range_view_and_noise(checkout, page):
     assert unnamed((checkout / page).read_text()) == {}
 

@@ -183,7 +183,7 @@ def test_impossible_rendering_options_are_refused(options, reason):
         render_coded_frame(np.ones((4, 4)), np.ones((4, 4)), camera(), **options)
 
 
-# Measured: desk 0.0019 / 0.0031, corridor 0.0014 / 0.0023 (see docs/measurements.md).
+# Measured: desk 0.0019 / 0.0031, corridor 0.0014 / 0.0023 (see docs/experiments.md).
 @pytest.mark.parametrize("scene", ["desk", "corridor"])
 def test_agrees_with_ray_traced_photographs(data_dir, scene):
     traced = RayTracedScene.load(data_dir / "rendered" / scene, "levin")

@@ -121,7 +121,7 @@ def _summary(rows: list[Row], names: dict[str, str]) -> str:
 
 
 def _page_text(rows: list[Row]) -> list[str]:
-    """Table of docs/accuracy.md, with a camera and distances for every scene; worst first."""
+    """Table of docs/performance.md, with a camera and distances for every scene; worst first."""
     if not rows:
         return []
     lines = [
@@ -139,7 +139,7 @@ def _page_text(rows: list[Row]) -> list[str]:
             f"{_per_cent(_dense(row)['within_10_percent_near_edges'])} %",
         )
         lines.append(f"| {' | '.join(cells)} |")
-    return ["as in docs/accuracy.md\n" + "\n".join(lines)]
+    return ["as in docs/performance.md\n" + "\n".join(lines)]
 
 
 def _of_score(score: Row) -> str:

@@ -1,6 +1,6 @@
 """Make the moving picture of the README, and the numbers below it: a camera pans over a scene.
 
-python docs/moving_picture.py docs/images/demo.webp
+python scripts/draw_moving_picture.py docs/images/demo.webp
 """
 
 import sys
