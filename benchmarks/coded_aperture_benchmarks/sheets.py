@@ -142,7 +142,8 @@ def page(results: Row, gflop_s: float) -> str:
         f"{results['illuminance_lux']:g} lux, {results['rate_hz']:g} Hz. Frames a second: the "
         "estimator alone on whole frames, a video, "
         f"{found[0]['speed']['processors']} processors that do {gflop_s:.0f} GFLOP/s in float32 "
-        "matrix products, with what else ran on them; [undisturbed](performance.md#how-fast-how-fine) they are faster.",
+        "matrix products, with what else ran on them; [undisturbed](performance.md) "
+        "they are faster.",
         "",
     ]
     return "\n".join([*lines, *(_section(sheet) for sheet in found)])
