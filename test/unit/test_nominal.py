@@ -218,7 +218,7 @@ def few_scenes(monkeypatch):
 def test_other_optics_are_told_by_a_bank_of_one_width(few_scenes, tmp_path):
     stack = masks_of_one_width(16)
     bank = learn_nominal_bank(stack, LearnConfig(noise=0.002), NaturalImagePrior(), "test")
-    assert len(bank.own_fit) == len(bank.reliability) + 21
+    assert len(bank.own_fit) == len(bank.reliability) + 23
     save_bank(bank, tmp_path / "bank.npz")
     assert load_bank(tmp_path / "bank.npz").own_fit == pytest.approx(bank.own_fit)
     estimator = DepthEstimator(bank, DepthConfig())

@@ -3,7 +3,8 @@
 The network of the check was fitted to masks. Of other PSFs it knows neither what fitting frames
 look like nor what other optics make of them. So frames are simulated through the PSFs of the bank
 and through others, and a logistic regression makes health of what the network says and of how much
-better other PSFs explain the frames.
+better other PSFs explain the frames. What the same PSFs turned and mirrored may explain better is
+taken from the fitting frames alone: it says little of most kinds, and a regression hardly sees it.
 """
 
 import dataclasses
@@ -21,7 +22,7 @@ from coded_aperture_ros.calibration.psf.simulated import (
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.quality import FitCheck, fit_terms
+from coded_aperture_ros.depth.quality import FitCheck, fit_terms, turned_gains
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
@@ -53,7 +54,7 @@ _Frame = tuple[FloatArray, FloatArray]  # light, and the true level of each pixe
 
 
 def measured_fit(bank: FilterBank, progress: Progress = iter) -> tuple[float, ...]:
-    """Coefficients of 1 and the `fit_terms` that make a bank's health.
+    """Coefficients of `OwnFit` that make a bank's health.
 
     Parameters
     ----------
@@ -76,7 +77,9 @@ def measured_fit(bank: FilterBank, progress: Progress = iter) -> tuple[float, ..
             alike.append(bool(kind) and found[1] >= _AS_RIGHT * as_right)
     looks.close()
     use = ~np.array(alike)  # neither one nor the other
-    return _fitted(np.array(terms)[use], np.array(fits)[use])
+    of_frames, fitting = np.array(terms)[use], np.array(fits)[use]
+    limits = turned_gains(of_frames[fitting]).max(axis=0, initial=0.0)
+    return (*_fitted(of_frames, fitting), *limits.tolist())
 
 
 def frames_of_scene(bank: FilterBank, seed: int) -> Iterator[tuple[str, _Frame]]:

@@ -7,5 +7,5 @@ from coded_aperture_ros.depth.quality.health import (
     Health,
     unchecked_reason,
 )
-from coded_aperture_ros.depth.quality.own_fit import OwnFit, fit_terms
+from coded_aperture_ros.depth.quality.own_fit import OwnFit, fit_terms, turned_gains
 from coded_aperture_ros.depth.quality.reason import no_depth_reason
