@@ -10,19 +10,21 @@ import numpy as np
 from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.ray_traced import RayTracedScene
 from coded_aperture_benchmarks.methods.depth import CameraBank, predict
-from coded_aperture_benchmarks.metrics.relative import PUBLISHED, relative_error
+from coded_aperture_benchmarks.metrics.relative import PUBLISHED, RIGHT, relative_error
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import load_planes
 from coded_aperture_ros.calibration.planes.wavefront import fit_wavefront
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.text_table import table
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.optics import Camera
 
-_MASK, _RIGHT = "levin", 0.05
+_MASK, _EXACT = "levin", 0.05
 _THIRDS = ("inner", "middle", "outer")
 _HEADER = [
     "scene", "seed", "field curvature", "error: all", *_THIRDS, "confident", "of it right", "said",
+    *(f"published {name}" for name in _THIRDS),
 ]  # fmt: skip
 
 
@@ -89,9 +91,34 @@ def _scores(scene: RayTracedScene, camera: Camera, frame: np.ndarray, levels: in
         "all": _median(error[known]),
         **{name: _median(error[known & (third == i)]) for i, name in enumerate(_THIRDS)},
         "confident": round(float(sure.mean()), 4),
-        "right": round(float((error[sure] <= _RIGHT).mean()), 4) if sure.any() else None,
-        "said": round(float(estimate.confidence[sure].mean()), 4) if sure.any() else None,
+        "right": _share(error[sure] <= _EXACT),
+        "said": _share(estimate.confidence[sure]),
+        "published": {
+            name: _of_published(estimate, error, true, known & (third == i), sure)
+            for i, name in enumerate(_THIRDS)
+        },
     }
+
+
+def _of_published(
+    estimate: DepthEstimate, error: FloatArray, true_m: FloatArray, part: BoolArray, sure: BoolArray
+) -> Row:
+    """Return how much of a part of the frame is published, and of that the shares that are right.
+
+    `right`: within 10 %; `within_deviation`: within the standard deviation that is stated.
+    """
+    assert estimate.depth_m is not None and estimate.std_dev_m is not None
+    some = part & sure
+    off = np.abs(estimate.depth_m - true_m)
+    return {
+        "coverage": _share(sure[part]),
+        "right": _share(error[some] <= RIGHT),
+        "within_deviation": _share(off[some] <= estimate.std_dev_m[some]),
+    }
+
+
+def _share(values: np.ndarray) -> float | None:
+    return round(float(values.mean()), 4) if values.size else None
 
 
 def _median(values: np.ndarray) -> float | None:
@@ -106,14 +133,20 @@ def _text(results: Row) -> str:
             str(row["seed"]),
             "PSFs of the parts" if row["psfs"] else "with" if row["field_curvature"] else "without",
             *("-" if row[name] is None else f"{100 * row[name]:.1f} %" for name in names),
+            *(_published_text(row["published"][name]) for name in _THIRDS),
         ]
         for row in results["cells"]
     ]
     return (
         "error: median, relative, of every pixel and by thirds of the radius; confident: share of "
-        "the frame, how\nmany of these are right to 5 %, and how many it was said would be\n\n"
-        + table(_HEADER, lines)
+        "the frame, how\nmany of these are right to 5 %, and how many it was said would be; "
+        "published, by thirds: share of the third, of that right\nto 10 %, and within the standard "
+        "deviation that is stated\n\n" + table(_HEADER, lines)
     )
+
+
+def _published_text(row: Row) -> str:
+    return ", ".join("-" if value is None else f"{100 * value:.0f} %" for value in row.values())
 
 
 SUITE = Suite(
