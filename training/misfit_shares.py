@@ -1,6 +1,6 @@
 """How often each kind of misfit is tried, by what frames show."""
 
-from scenes import is_fenced, is_measured
+from scenes import FRAMES_PER_SHARD, is_fenced, is_measured
 
 # Of every kind of misfit, in how many frames it is tried; what changes PSFs needs banks of its own.
 _SHARE = 0.3
@@ -15,9 +15,14 @@ PSF_MISFITS = (
     "mask turned",
     "mask mirrored",
 )
-# On photographs with measured disparity what is overlooked there is tried the most.
-_MEASURED_SHARE = 0.12
-_MEASURED_SHARES = {
+# On photographs with measured disparity, and on random scenes of these shards, what is overlooked
+# there is tried the most.
+_OVERLOOKED_SHARDS = range(60, 80)
+_RARER_SHARE = 0.12
+_OVERLOOKED_SHARES = {
+    "other optics": 0.8,
+    "other scale": 0.6,
+    "other filter": 0.4,
     "other mask": 0.8,
     "no mask": 0.7,
     "all in focus": 0.7,
@@ -38,7 +43,7 @@ _MEASURED_SHARES = {
 
 def share_tried(kind: str, number: int) -> float:
     """In how many frames such as this one a kind of misfit is tried."""
-    if is_measured(number):
-        return _MEASURED_SHARES.get(kind, _MEASURED_SHARE)
+    if is_measured(number) or number // FRAMES_PER_SHARD in _OVERLOOKED_SHARDS:
+        return _OVERLOOKED_SHARES.get(kind, _RARER_SHARE)
     often = _FENCED_FACTOR if is_fenced(number) else 1.0
     return often * (_PSF_SHARE if kind in PSF_MISFITS else _SHARE)

@@ -13,6 +13,15 @@ from boards import board_scene, shows_boards_only
 from coded_aperture_benchmarks.datasets.fitting_frames import Fitting, Recorded, recorded
 from coded_aperture_benchmarks.datasets.misfits import MISFITS
 from misfit_shares import PSF_MISFITS, share_tried
+from other_optics import (
+    OTHER_CAUSES,
+    OTHER_FILTER,
+    OTHER_OPTICS,
+    OTHER_SCALE,
+    filtered,
+    random_optics,
+    resampled,
+)
 from scenes import (
     FRAME_PX,
     SCENES,
@@ -219,6 +228,21 @@ def _examples(
             low = sizes[0] if sizes[0] > ends[0] else max(sizes[-1] - span, sizes[0])
             known = _Levels.between(own, low, min(low + span, sizes[-1]))
         yield _Example(kind, strength, one, known)
+    for kind in OTHER_CAUSES:
+        if random.random() < share_tried(kind, number):
+            one = _changed_at_random(kind, number, fitting, folder, random)
+            yield _Example(kind, 0.0, one, levels)
+
+
+def _changed_at_random(
+    kind: str, number: int, fitting: Fitting, folder: Path, random: np.random.Generator
+) -> Recorded:
+    if kind == OTHER_OPTICS:
+        optics = random_optics(mask_named(scene_plan(number).mask), random)
+        light = _scene(number, folder).coded(optics) * np.float32(random.uniform(0.35, 1))
+        return recorded(fitting, light, random)
+    change = {OTHER_SCALE: resampled, OTHER_FILTER: filtered}[kind]
+    return change(recorded(fitting, fitting.light, random), random)
 
 
 def _fitting_frames(fitting: Fitting, random: np.random.Generator) -> Iterator[Recorded]:
@@ -334,8 +358,8 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
         # Banks have sizes of one sign.
         camera = _scene(number, folder).camera if side == "far" else None
         for example in _examples(number, light, blur_px, folder):
-            causes = MISFITS[example.kind].causes if example.kind != FITS else ()
-            cause = list(CAUSES).index(causes[0]) if causes else -1
+            name = _CAUSES.get(example.kind)
+            cause = list(CAUSES).index(name) if name else -1
             for one in _with_small_part(example.frame, example.kind == FITS, random):
                 known = camera if random.random() < _CAMERA_SHARE else None
                 features = _features(one, example.levels, infinity_px, known)
@@ -347,7 +371,11 @@ def _compute_shard(shard: int, sources: dict[str, Arrays], folder: Path) -> Arra
     return {name: np.array(values) for name, values in found.items()}
 
 
+_CAUSES = {kind: misfit.causes[0] for kind, misfit in MISFITS.items()} | OTHER_CAUSES
 _ARRAYS = ("few_windows", "features", "error", "coverage", "cause", "kind", "strength", "number")
 MISFITS_DATA = Data(
-    "misfits", _compute_shard, (SCENES,), ("measured", "scenes", "banks", "boards", "misfits")
+    "misfits",
+    _compute_shard,
+    (SCENES,),
+    ("measured", "scenes", "banks", "boards", "other_optics", "misfits"),
 )

@@ -350,5 +350,6 @@ def test_a_bank_s_own_check_replaces_health_only(bank, scene):
     assert health_of(never, frame).health.value == pytest.approx(1 / (1 + np.exp(5)), abs=1e-4)
     assert health_of(same, frame).health.value == pytest.approx(usual.value, abs=1e-5)
     for limits, fits in (((20.0, 20.0), True), ((-20.0, 20.0), False), ((20.0, -20.0), False)):
-        health = health_of(dataclasses.replace(bank, own_fit=(*same.own_fit, *limits)), frame).health
+        limited = dataclasses.replace(bank, own_fit=(*same.own_fit, *limits))
+        health = health_of(limited, frame).health
         assert health.fits == fits and health.cause == ("" if fits else "turned")

@@ -195,6 +195,24 @@ def test_boards_of_noise_fill_the_frame_alone_or_behind_a_card(training, monkeyp
     assert set(counts) == {1, 2} and 0.5 < np.mean(small) < 1
 
 
+def test_other_optics_and_processing_are_drawn_anew_for_each_frame(training):
+    other, misfits = (importlib.import_module(name) for name in ("other_optics", "misfits"))
+    own, random = training["scenes"].mask_named("levin"), np.random.default_rng(0)
+    plates = [other.random_optics(own, random).transmission for _ in range(30)]
+    assert all(plate.max() > 0.2 and plate.min() >= 0 and plate.max() <= 1 for plate in plates)
+    assert len({plate.tobytes() for plate in plates}) == 30
+    rows = np.repeat(np.linspace(0, 1, 90, dtype=np.float32)[:, None], 120, axis=1)
+    one = misfits.Recorded(rows, None, rows)
+    for change in (other.resampled, other.filtered):
+        changed = [change(one, np.random.default_rng(seed)) for seed in (1, 1, 2)]
+        assert np.array_equal(changed[0].frame, changed[1].frame)
+        assert not np.array_equal(changed[0].frame, changed[2].frame)
+        assert changed[0].frame.shape == rows.shape and changed[0].frame.dtype == np.float32
+    # The truth goes where the frame goes.
+    moved = other.resampled(one, np.random.default_rng(1))
+    assert np.abs(moved.frame - moved.blur_size_px).max() < 0.03
+
+
 def test_training_never_sees_the_scenes_of_the_benchmarks(training):
     from coded_aperture_benchmarks.datasets.random_scenes import FIRST_SEED
 
