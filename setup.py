@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 from glob import glob
 from pathlib import Path
 
@@ -20,6 +21,10 @@ GRAPH_CUTS = "PyMaxflow>=1.3"
 OLDEST = "CODED_APERTURE_OLDEST" in os.environ
 OPENCV = f"opencv-python-headless>={'4.6' if OLDEST else '4.8.1.78'}"
 
+# As a plain path, which type checkers and editors follow; they do not run import hooks, which is what
+# setuptools makes of a folder with several packages. For colcon the packages stay as they are.
+EDITABLE = "editable_wheel" in sys.argv
+
 setup(
     name=NAME,
     version=VERSION,
@@ -32,6 +37,7 @@ setup(
     maintainer_email="maintainers@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_dir={"": "."} if EDITABLE else {},
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.cli": ["demo_page.html"],

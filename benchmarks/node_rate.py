@@ -35,8 +35,8 @@ from coded_aperture_ros.core.interrupt import sigterm_like_ctrl_c
 from coded_aperture_ros.core.machine import BusyTime, processor_time_s
 from coded_aperture_ros.core.share import (
     SHARED_MEMORY_MB,
+    demo_camera_file,
     private_network,
-    share_directory,
     shared_memory_suffices,
 )
 from coded_aperture_ros.core.workers import thread_count
@@ -44,7 +44,6 @@ from coded_aperture_ros.likelihood.bank import DEFAULT_LEVEL_COUNT
 from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
 
 # The simulated camera of the demo, and where its scene is.
-CAMERA_FILE = "demo_camera.yaml"
 FRAMES = 8
 
 # What was sent last has come by then, or never will.
@@ -113,7 +112,7 @@ def measure(
     parameters : sequence of str
         Further ones of the node, as NAME:=VALUE.
     """
-    camera_file = share_directory() / "config" / CAMERA_FILE
+    camera_file = demo_camera_file()
     sent_file = folder / "sent.json"
     publishing = frame_publisher.arguments(folder / "frames.npy", camera_file, rate_hz, sent_file)
     arguments = node_arguments(camera_file, reliable, parameters)
@@ -216,7 +215,7 @@ def run_benchmark(args: argparse.Namespace) -> list[dict[str, Any]]:
         folder = Path(name)
         os.environ.setdefault("ROS_LOG_DIR", name)
         print("rendering frames", file=sys.stderr)
-        np.save(folder / "frames.npy", render_frames(share_directory() / "config" / CAMERA_FILE))
+        np.save(folder / "frames.npy", render_frames(demo_camera_file()))
         runs = []
         for rate_hz in args.rates:
             print(f"{rate_hz:g} Hz for {args.seconds:g} s", file=sys.stderr)

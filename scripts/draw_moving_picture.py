@@ -10,16 +10,13 @@ import numpy as np
 from PIL import Image
 
 from coded_aperture_ros import FramePipeline
-from coded_aperture_ros.core.share import share_directory
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import SRGB, pixels_from_linear
 from coded_aperture_ros.io.depth_picture import depth_picture
 from coded_aperture_ros.io.panels import panels
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.metrics.errors import psnr_db
-from coded_aperture_ros.optics import load_camera
-from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, PanningScene, motorcycle_scene
-from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, demo_scene
 from coded_aperture_ros.simulation.scene import SimulatedFrame
 
 NEAR_M, FAR_M = MOTORCYCLE_RANGE_M
@@ -48,10 +45,9 @@ def measured(view: SimulatedFrame, depth_m: np.ndarray, sharp: np.ndarray) -> tu
 
 def main() -> None:
     """Process the frames in their order, as the nodes do, and write one picture of all."""
-    path = share_directory() / "config" / "demo_camera.yaml"
-    camera = load_camera(path)
-    bank = learn_bank_for_camera(camera, NEAR_M, FAR_M, 30)
-    scene = PanningScene(motorcycle_scene(), camera, sensor_of_camera_file(path, camera), PERIOD_S)
+    scene = demo_scene(PERIOD_S)
+    camera = scene.camera
+    bank = learn_bank_for_camera(camera, NEAR_M, FAR_M)
     pipeline = FramePipeline(bank, camera, DepthConfig(temporal_frames=4.0))
     pictures, figures = [], []
     for index in range(FRAMES):

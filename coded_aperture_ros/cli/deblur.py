@@ -117,9 +117,8 @@ def run(args: Arguments) -> int:
     with naming(args.bank):
         stereo = StereoOutput(args.stereo_output, args.output, args.gamma, bank.stack, camera)
     restorer = _Restorer(args, bank, camera)
-    encoding: dict[str, Any] = {} if args.gamma == 1 else {"bits": 8, "gamma": args.gamma}
-
-    for_display = args.pictures and not encoding
+    bits = None if args.gamma == 1 else 8
+    for_display = args.pictures and bits is None
 
     def files(output: Path) -> list[Path]:
         beside = [output.with_suffix(_STD_DEV), output.with_suffix(_KIND)] if args.std_dev else []
@@ -148,7 +147,7 @@ def run(args: Arguments) -> int:
             continue
         summary: dict[str, Any] = {"output": str(named.output), "seconds": round(seconds, 3)}
         with output_set():
-            write_image(named.output, sharp, **encoding)
+            write_image(named.output, sharp, bits, args.gamma)
             if for_display:
                 write_light_for_display(named.output, sharp)
             if found is not None:

@@ -28,8 +28,8 @@ from coded_aperture_ros.core.files import check_output
 from coded_aperture_ros.core.machine import product_rates
 from coded_aperture_ros.core.share import (
     SHARED_MEMORY_MB,
+    demo_camera_file,
     private_network,
-    share_directory,
     shared_memory_suffices,
 )
 from coded_aperture_ros.core.workers import processors, thread_count
@@ -40,7 +40,6 @@ from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M
 if TYPE_CHECKING:
     from coded_aperture_ros.ros.demo_monitor import DemoMonitor
 
-CAMERA_FILE = "demo_camera.yaml"
 RATE_HZ = 12.0
 # A robot steers by depth; all-in-focus frames are for people, who need fewer of them.
 DEBLUR = {"frames.max_rate_hz": 3.0}
@@ -93,7 +92,7 @@ def run(args: Arguments) -> int:
         tempfile.TemporaryDirectory(prefix="coded_aperture-demo-") as folder,
         Children(Path(folder)) as children,
     ):
-        camera_file = share_directory() / "config" / CAMERA_FILE
+        camera_file = demo_camera_file()
         camera = {"camera_file": str(camera_file), "source": "simulator", "rate_hz": RATE_HZ}
         children.start("camera_driver_node", camera)  # renders its scene meanwhile
         model = {**learned_model(camera_file, Path(folder) / "bank.npz", say), **reliability}
@@ -128,7 +127,7 @@ def run(args: Arguments) -> int:
 def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str, Any]:
     """Learn the bank, and return the parameters of the nodes that use it."""
     started_s = time.monotonic()
-    bank = learn_bank_for_camera(load_camera(camera_file), *MOTORCYCLE_RANGE_M, DEFAULT_LEVEL_COUNT)
+    bank = learn_bank_for_camera(load_camera(camera_file), *MOTORCYCLE_RANGE_M)
     save_bank(bank, bank_file)
     say.line(f"learned a bank of {bank.levels} levels in {time.monotonic() - started_s:.1f} s")
     return {"camera_file": str(camera_file), "bank": str(bank_file)}

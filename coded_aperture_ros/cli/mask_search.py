@@ -95,7 +95,7 @@ def run(args: Arguments) -> int:
             if args.checkpoint is not None:
                 save_checkpoint(args.checkpoint, state, config, scene)
     if args.output is not None:
-        write_image(args.output, state.best.astype(np.float32))
+        write_image(args.output, state.best.astype(np.float32), gamma=1.0)
     return print_summary(_summary(state), _text, as_json=args.json)
 
 

@@ -13,7 +13,7 @@ from coded_aperture_ros.cli.results import print_summary
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.folders import temporary_folder
 from coded_aperture_ros.core.progress import progress
-from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.core.share import demo_camera_file
 from coded_aperture_ros.io import write_depth, write_image
 from coded_aperture_ros.io.display import (
     display_path,
@@ -22,14 +22,8 @@ from coded_aperture_ros.io.display import (
 )
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.likelihood.bank import power_spectrum
-from coded_aperture_ros.optics import Camera, load_camera
-from coded_aperture_ros.simulation import (
-    MOTORCYCLE_RANGE_M,
-    PanningScene,
-    motorcycle_scene,
-    render_coded_frame,
-)
-from coded_aperture_ros.simulation.exposure import sensor_of_camera_file
+from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, demo_scene, render_coded_frame
 from coded_aperture_ros.simulation.scene import SimulatedFrame
 
 _EXAMPLES = """example:
@@ -71,10 +65,9 @@ def run(args: Arguments) -> int:
 
 def _made(folder: Path) -> Iterator[list[str]]:
     """Write everything; yield the names of each part."""
-    shutil.copy(share_directory() / "config" / "demo_camera.yaml", folder / "camera.yaml")
-    camera = load_camera(folder / "camera.yaml")
-    sensor = sensor_of_camera_file(folder / "camera.yaml", camera, _BITS)
-    scene = PanningScene(motorcycle_scene(), camera, sensor)
+    shutil.copy(demo_camera_file(), folder / "camera.yaml")
+    scene = demo_scene(bits=_BITS)
+    camera = scene.camera
     views = [scene.frame(index / _RATE_HZ) for index in range(_FRAMES)]
     for name, light in (("coded.png", views[0].coded), ("sharp.png", views[0].sharp)):
         write_image(folder / name, light)
@@ -94,7 +87,7 @@ def _made(folder: Path) -> Iterator[list[str]]:
         light = np.clip(0.4 + 0.13 * texture / texture.std(), 0.01, 0.95).astype(np.float32)
         depth_m = np.full(_PLANE_PX, 1 / inverse, np.float32)
         name = f"{index:02}.png"
-        coded = sensor.expose(render_coded_frame(light, depth_m, camera), random)
+        coded = scene.sensor.expose(render_coded_frame(light, depth_m, camera), random)
         write_image(folder / "planes" / name, coded)
         entries.append({"file": name, "depth_m": round(1 / inverse, 4)})
     (folder / "planes" / "planes.json").write_text(json.dumps(entries, indent=1) + "\n")

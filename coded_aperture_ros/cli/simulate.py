@@ -183,7 +183,7 @@ def _write_coded(args: Arguments, coded: FloatArray) -> None:
     sensor = SensorModel(args.noise, args.bits)
     exposed = sensor.expose(coded, np.random.default_rng(args.seed))
     with output_set():
-        write_image(args.output, exposed)
+        write_image(args.output, exposed, gamma=1.0)
         write_light_for_display(args.output, exposed)
 
 

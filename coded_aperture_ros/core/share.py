@@ -23,7 +23,7 @@ def share_directory() -> Path:
 
     Examples
     --------
-    >>> (share_directory() / "config" / "demo_camera.yaml").is_file()
+    >>> (share_directory() / "config").is_dir()
     True
     """
     here = Path(__file__).resolve()
@@ -36,6 +36,17 @@ def share_directory() -> Path:
     raise InputError(
         f"no share/{_PACKAGE}/config above {here.parent}: install the package with pip or colcon"
     )
+
+
+def demo_camera_file() -> Path:
+    """Path of the camera file of demo and sample.
+
+    Examples
+    --------
+    >>> demo_camera_file().is_file()
+    True
+    """
+    return share_directory() / "config" / "demo_camera.yaml"
 
 
 def shared_memory_profile() -> Path:

@@ -6,7 +6,7 @@ not: `DepthConfig` has them all.
 
 import dataclasses
 import inspect
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from coded_aperture_ros.core.options import check_options
 from coded_aperture_ros.core.workers import thread_count
@@ -65,11 +65,14 @@ def _further_configs() -> tuple[Any, ...]:
     return tuple(reversed(found))
 
 
+if TYPE_CHECKING:  # what stages of other packages add is known at run time only
+    _Options = _TypedOptions
+else:
+    _Options = type("_Options", (*_further_configs(), _TypedOptions), {})
+
+
 @dataclasses.dataclass(frozen=True)
-class DepthConfig(
-    *_further_configs(),  # type: ignore[misc]  # known at run time only
-    _TypedOptions,
-):
+class DepthConfig(_Options):
     """How a frame is turned into depth.
 
     Every stage finds its own settings here: the fields are those of the stages' configurations.

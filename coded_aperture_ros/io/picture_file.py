@@ -13,7 +13,7 @@ from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.input_file import check_picture_size, read_bytes
 from coded_aperture_ros.frames.frame import PixelFormat
-from coded_aperture_ros.frames.light import Gamma, check_linear, pixels_from_linear
+from coded_aperture_ros.frames.light import SRGB, Gamma, check_linear, pixels_from_linear
 from coded_aperture_ros.frames.pictures import StoredPicture, decode_picture
 from coded_aperture_ros.io.messages.frames import millimetres_from_depth
 
@@ -61,7 +61,7 @@ def picture_files(folder: Path) -> list[Path]:
     )
 
 
-def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
+def read_image(path: str | os.PathLike[str], gamma: Gamma = SRGB) -> FloatArray:
     """Image in linear light, float32 [h, w] or [h, w, 3].
 
     Parameters
@@ -70,7 +70,9 @@ def read_image(path: str | os.PathLike[str], gamma: Gamma = 1.0) -> FloatArray:
         Any picture that OpenCV reads, Netpbm or PFM, or a `.npy` array [row, column] or
         [row, column, RGB].
     gamma : float or "srgb", optional
-        Encoding of 8-bit pictures; 16-bit and float files are linear.
+        Encoding of 8-bit pictures; 1.0 for those of sensors that are read out without a tone curve,
+        which the commands take them for unless ``--gamma`` is given. 16-bit and float files are
+        linear.
 
     Returns
     -------
@@ -133,7 +135,7 @@ def _with_usual_white(pixels: NDArray, white: int) -> NDArray:
 
 
 def write_image(
-    path: str | os.PathLike[str], image: NDArray, bits: int | None = None, gamma: Gamma = 1.0
+    path: str | os.PathLike[str], image: NDArray, bits: int | None = None, gamma: Gamma = SRGB
 ) -> None:
     """Write an image; the suffix decides the format.
 
@@ -144,9 +146,10 @@ def write_image(
     image : ndarray, shape [h, w] or [h, w, 3]
         Linear light, RGB; or 8-bit pixels, which are stored unchanged.
     bits : {8, 16}, optional
-        By default 16 for PNG, and 8 for formats that hold no more.
+        By default 16 for PNG, and 8 for formats that hold no more. Viewers show 16 bits dark, for
+        they are linear: use 8 for pictures that people look at.
     gamma : float or "srgb", optional
-        Encoding of 8-bit pictures; wider ones are linear.
+        Encoding of 8-bit pictures; 1.0 for linear light. Wider ones are linear.
 
     Raises
     ------

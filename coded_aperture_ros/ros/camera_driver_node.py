@@ -14,7 +14,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
-from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.core.share import demo_camera_file
 from coded_aperture_ros.frames import PixelFormat
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
@@ -160,7 +160,7 @@ class CameraDriverNode(ManagedNode):
         config = self._config
         if config.camera_file or config.source != SIMULATOR:
             return config.camera_file
-        return str(share_directory() / "config" / "demo_camera.yaml")
+        return str(demo_camera_file())
 
     def _sensor(self) -> SensorModel:
         """Noise of the simulated sensor."""

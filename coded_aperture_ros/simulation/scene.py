@@ -181,6 +181,11 @@ class PanningScene:
     seed : int, optional
         Of the noise.
 
+    Attributes
+    ----------
+    camera : Camera
+    sensor : SensorModel
+
     Raises
     ------
     InputError
@@ -215,8 +220,8 @@ class PanningScene:
         if not period_s > 0:
             raise InputError(f"period: expected more than 0 s, got {period_s!r}")
         self._scene = scene
-        self._camera = camera
-        self._sensor = sensor or SensorModel()
+        self.camera = camera
+        self.sensor = sensor or SensorModel()
         self._period_s = period_s
         self._seed = seed
         # Two blocks a side: the demo should not wait for the last tenth of the accuracy.
@@ -227,15 +232,15 @@ class PanningScene:
         window = self._window(time_s)
         rng = np.random.default_rng([self._seed, round(abs(time_s) * 1e6)])
         return SimulatedFrame(
-            self._sensor.expose(self._coded[window], rng),
+            self.sensor.expose(self._coded[window], rng),
             self._scene.image[window],
             self._scene.depth_m[window],
         )
 
     def _window(self, time_s: float) -> tuple[slice, slice]:
         scene_height, scene_width = self._scene.depth_m.shape
-        height = self._camera.image_height
-        width = self._camera.image_width
+        height = self.camera.image_height
+        width = self.camera.image_width
         turns = time_s / self._period_s
         top = _cosine_position(turns / 2, scene_height - height)
         left = _cosine_position(turns, scene_width - width)

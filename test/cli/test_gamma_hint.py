@@ -23,8 +23,8 @@ def pictures(scene, tmp_path):
     """Files of one frame: 8 bits in two formats, 16 bits, and a mosaic of 8 bits."""
     frame = read_image(scene.coded_npy)
     files = {name: tmp_path / name for name in ("a.png", "a.jpg", "deep.png", "mosaic.png")}
-    write_image(files["a.png"], frame, bits=8)
-    write_image(files["a.jpg"], frame, bits=8)
+    write_image(files["a.png"], frame, bits=8, gamma=1.0)
+    write_image(files["a.jpg"], frame, bits=8, gamma=1.0)
     write_image(files["deep.png"], frame, bits=16)
     grey = np.rint(255 * frame if frame.ndim == 2 else 255 * frame[..., 1]).astype(np.uint8)
     cv2.imwrite(str(files["mosaic.png"]), grey)

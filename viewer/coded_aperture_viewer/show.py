@@ -14,7 +14,7 @@ import numpy as np
 from aiohttp import web
 
 from coded_aperture_ros.core.errors import InputError, naming
-from coded_aperture_ros.core.share import share_directory
+from coded_aperture_ros.core.share import demo_camera_file
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.frames import PixelFormat
@@ -36,7 +36,6 @@ from coded_aperture_viewer.live import Live
 from coded_aperture_viewer.server import Server
 from coded_aperture_viewer.settings import LookConfig, RunConfig, Settings
 
-_DEMO_CAMERA = "demo_camera.yaml"
 _LOCAL = "127.0.0.1"
 # Connections to pages that do not end by themselves are closed after so long, s.
 _SHUTDOWN_TIMEOUT_S = 0.5
@@ -102,7 +101,7 @@ def show(options: Options) -> None:
 
 def make_server(options: Options) -> tuple[Server, str]:
     """Server, and the token in the address of its page; empty if only this machine may ask."""
-    path = options.camera or share_directory() / "config" / _DEMO_CAMERA
+    path = options.camera or demo_camera_file()
     check_source(options.source)  # before anything else is read: it is named first
     camera = load_camera(path)
     bank, camera, (near_m, far_m) = _bank(options, path, camera)

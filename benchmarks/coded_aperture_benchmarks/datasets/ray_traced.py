@@ -62,7 +62,7 @@ class RayTracedScene:
         """Read a scene folder: `meta.json`, `aif_linear.png`, `depth_0.1mm.png`, coded pictures."""
         sharp, depth_m = load_sharp(folder)
         return cls(
-            coded=read_image(folder / f"coded_{mask_name}_linear.png") * _FULL_SCALE,
+            coded=read_image(folder / f"coded_{mask_name}_linear.png", 1.0) * _FULL_SCALE,
             sharp=sharp,
             depth_m=depth_m,
             camera=scene_camera(folder, mask_name),
@@ -82,7 +82,7 @@ class RayTracedScene:
         numbers = np.unique(np.linspace(0, frames - 1, most).round().astype(int))
         return [
             cls(
-                coded=read_image(folder / f"coded_{mask_name}_{number:03d}.png"),
+                coded=read_image(folder / f"coded_{mask_name}_{number:03d}.png", 1.0),
                 sharp=read_image(folder / f"aif_{number:03d}.png", SRGB),
                 depth_m=read_depth(folder / f"depth_{number:03d}.png", _DEPTH_UNIT_M),
                 camera=camera,
@@ -112,8 +112,8 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     depth_m = read_depth(folder / "depth_0.1mm.png", _DEPTH_UNIT_M)
     valid = folder / "valid.png"
     if valid.exists():
-        depth_m[read_image(valid) < _VALID] = np.nan
-    return read_image(folder / "aif_linear.png") * _FULL_SCALE, depth_m
+        depth_m[read_image(valid, 1.0) < _VALID] = np.nan
+    return read_image(folder / "aif_linear.png", 1.0) * _FULL_SCALE, depth_m
 
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:

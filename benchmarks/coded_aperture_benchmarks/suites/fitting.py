@@ -93,7 +93,10 @@ def _frames(folder: Path, mask: str) -> tuple[CameraBank, tuple[_Frame, ...]]:
         planes = json.loads((folder / _PLANES).read_text())
         shape = camera.image_height, camera.image_width
         frames = [
-            _Frame(read_image(folder / plane["file"]), np.full(shape, plane["depth_m"], np.float32))
+            _Frame(
+                read_image(folder / plane["file"], 1.0),
+                np.full(shape, plane["depth_m"], np.float32),
+            )
             for plane in planes
             if mask in plane["file"]
         ]

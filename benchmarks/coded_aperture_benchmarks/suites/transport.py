@@ -20,7 +20,7 @@ from coded_aperture_benchmarks.speed.node_figures import stream_figures
 from coded_aperture_benchmarks.speed.node_processes import Process, listener, wait_for_depth
 from coded_aperture_benchmarks.speed.setting import Size
 from coded_aperture_ros.core.machine import BusyTime, processor_time_s
-from coded_aperture_ros.core.share import private_network, share_directory, shared_memory_suffices
+from coded_aperture_ros.core.share import demo_camera_file, private_network, shared_memory_suffices
 from coded_aperture_ros.core.text_table import columns
 
 _FRAMES = 4
@@ -127,7 +127,7 @@ def _write_inputs(folder: Path, size: Size) -> None:
     rows, columns_ = size
     random = np.random.default_rng(0)
     np.save(folder / "frames.npy", random.integers(256, size=(_FRAMES, *size), dtype=np.uint8))
-    camera = yaml.safe_load((share_directory() / "config" / "demo_camera.yaml").read_text())
+    camera = yaml.safe_load(demo_camera_file().read_text())
     del camera["sensor"]  # which has so many pixels only
     camera.update(image_width=columns_, image_height=rows)
     (folder / "camera.yaml").write_text(yaml.safe_dump(camera))

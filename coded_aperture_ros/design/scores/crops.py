@@ -21,7 +21,7 @@ class Textures:
     @classmethod
     def from_files(cls, kind: str, paths: Iterable[Path]) -> "Textures":
         """Read pictures; colours become their mean."""
-        images = [read_image(path) for path in paths]
+        images = [read_image(path, gamma=1.0) for path in paths]
         grey = [image.mean(axis=2) if image.ndim == 3 else image for image in images]
         return cls(kind, tuple(np.asarray(picture, np.float32) for picture in grey))
 

@@ -26,7 +26,7 @@ def learn_bank_for_camera(
     camera: Camera,
     near_m: float,
     far_m: float,
-    level_count: int,
+    level_count: int = DEFAULT_LEVEL_COUNT,
     config: LearnConfig | None = None,
     progress: Progress = iter,
     prior: NaturalImagePrior | None = None,
@@ -38,7 +38,7 @@ def learn_bank_for_camera(
     camera : Camera
     near_m, far_m : float
         Depth range, m.
-    level_count : int
+    level_count : int, optional
         Number of levels, equally spaced in blur size; at least 2. On both sides of the focus they
         mirror each other, so that one end may lie a little beyond the range.
     config, progress, prior
