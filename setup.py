@@ -21,7 +21,7 @@ GRAPH_CUTS = "PyMaxflow>=1.3"
 OLDEST = "CODED_APERTURE_OLDEST" in os.environ
 OPENCV = f"opencv-python-headless>={'4.6' if OLDEST else '4.8.1.78'}"
 
-# As a plain path, which type checkers and editors follow; they do not run import hooks, which is what
+# Then as a plain path, which type checkers and editors follow: they do not run import hooks, which
 # setuptools makes of a folder with several packages. For colcon the packages stay as they are.
 EDITABLE = "editable_wheel" in sys.argv
 

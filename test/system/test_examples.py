@@ -59,7 +59,8 @@ def test_examples_of_the_documents_pass_strict_types(checkout, tmp_path):
     )
     assert result.returncode == 0, result.stdout + result.stderr
     (tmp_path / "wrong.py").write_text(
-        "from coded_aperture_ros.optics import load_camera\nload_camera(1.5)\n"
+        "from coded_aperture_ros import DepthConfig, load_camera\n"
+        "load_camera(1.5)\nDepthConfig(no_such_option=1)\n"
     )
     wrong = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", "wrong.py"],
@@ -70,4 +71,4 @@ def test_examples_of_the_documents_pass_strict_types(checkout, tmp_path):
         text=True,
         timeout=300,
     )
-    assert "arg-type" in wrong.stdout
+    assert "[arg-type]" in wrong.stdout and "[call-arg]" in wrong.stdout

@@ -54,6 +54,17 @@ def test_versions_are_equal(checkout, manifest):
     assert f"version: {version}\n" in (checkout / "CITATION.cff").read_text()
 
 
+def test_an_editable_install_is_a_path_that_editors_follow(checkout, monkeypatch):
+    """Pip and type checkers: a plain path; colcon: packages, each a link."""
+    given = {}
+    monkeypatch.setattr("setuptools.setup", given.update)
+    monkeypatch.chdir(checkout)
+    for command, folders in [("editable_wheel", {"": "."}), ("develop", {})]:
+        monkeypatch.setattr(sys, "argv", ["setup.py", command])
+        runpy.run_path("setup.py")
+        assert given["package_dir"] == folders
+
+
 def test_manifest_is_valid(checkout):
     """By the parser that rosdep, bloom and colcon use."""
     catkin_pkg = pytest.importorskip("catkin_pkg.package")
