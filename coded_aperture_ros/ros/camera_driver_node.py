@@ -1,22 +1,22 @@
 """Node that publishes coded frames of a camera, of files or of the simulator."""
 
-import dataclasses
 import math
 import threading
 import time
 from typing import Any
 
+from numpy.typing import NDArray
 from rclpy.publisher import Publisher
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock as ClockMessage
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.options import option
 from coded_aperture_ros.core.share import demo_camera_file
 from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.io.messages import pixels_from_frame
+from coded_aperture_ros.io.messages import compressed_picture, pixels_from_frame
+from coded_aperture_ros.ros.camera_driver_config import CameraDriverConfig, LazyConfig
 from coded_aperture_ros.ros.camera_info_store import CameraInfoStore
 from coded_aperture_ros.ros.camera_model import required_camera
 from coded_aperture_ros.ros.diagnostics import (
@@ -29,6 +29,7 @@ from coded_aperture_ros.ros.managed_node import LONGEST_FRAME_S, ManagedNode
 from coded_aperture_ros.ros.messages import (
     camera_info_from_camera,
     camera_info_from_recorded,
+    compressed_message,
     image_from_array,
 )
 from coded_aperture_ros.ros.rgbd_source import RGBD, RgbdSource
@@ -55,63 +56,18 @@ _LONGEST_RETRY_S = 10.0
 _LOG_PERIOD_S = 10.0
 
 
-@dataclasses.dataclass(frozen=True)
-class CameraDriverConfig:
-    """Source of the frames and how they are published; fixed while the node runs."""
-
-    source: str = option(
-        SIMULATOR,
-        "simulator; a camera's index, device, URL or GStreamer pipeline; a video, picture, folder "
-        "of pictures or bag:PATH; rgbd: coded from the topics rgbd/image and rgbd/depth",
-    )
-    camera_file: str = option("", "Camera file (YAML); empty: with the simulator, the demo's")
-    rate_hz: float = option(15.0, "Frames per second", unit="Hz", within=(0.1, 1000.0))
-    frame_id: str = option("camera_optical_frame", "Optical frame of the images")
-    encoding: str = option(
-        "bgr8",
-        "Encoding of image_raw",
-        choices=("mono8", "rgb8", "bgr8", "mono16", "bayer_rggb8", "bayer_rggb16"),
-    )
-    loop: bool = option(True, "Start files again after their last frame")
-    noise: float = option(
-        -1.0,
-        "Standard deviation of the simulated sensor's noise in linear light; -1: of the camera "
-        "file's sensor at 300 lux and 20 Hz, or 0.002 if it has none",
-        within=(-1.0, 0.5),
-        parameter="simulation.noise",
-    )
-    camera_name: str = option(
-        "", "Of the camera's calibration; empty: the node's namespace, or camera"
-    )
-    camera_info_url: str = option(
-        "",
-        "Calibration to publish, file:// or package://, with ${NAME} and ${ROS_HOME}; empty: that "
-        "of a bag's frames, or file://${ROS_HOME}/camera_info/${NAME}.yaml if there is one, else "
-        "the camera file's",
-    )
-    publish_clock: bool = option(False, "Publish the frames' stamps as the time, on /clock")
-    base_frame: str = option(
-        "",
-        "Publish the static transform from this frame to frame_id; empty: none",
-        parameter="base.frame",
-    )
-    base_x_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.x_m")
-    base_y_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.y_m")
-    base_z_m: float = option(0.0, "Camera position in base_frame", unit="m", parameter="base.z_m")
-    base_pitch_deg: float = option(
-        0.0,
-        "How far the camera looks down",
-        unit="degrees",
-        within=(-180.0, 180.0),
-        parameter="base.pitch_deg",
-    )
-
-
-@dataclasses.dataclass(frozen=True)
-class LazyConfig:
-    """Whether frames are produced without a subscriber."""
-
-    lazy: bool = option(True, "Simulate, or read files, only while someone subscribes")
+# Topics that the node publishes, and their message types.
+OUTPUT_TYPES: dict[str, type] = {
+    "image_raw": Image,
+    "image_raw/compressed": CompressedImage,
+    "camera_info": CameraInfo,
+}
+# Those of simulated frames.
+TRUTH_TYPES: dict[str, type] = {
+    "ground_truth/depth": Image,
+    "ground_truth/image": Image,
+    "ground_truth/camera_info": CameraInfo,
+}
 
 
 class CameraDriverNode(ManagedNode):
@@ -133,9 +89,9 @@ class CameraDriverNode(ManagedNode):
         )
         config = self._config
         self.statistics = Statistics()
-        topics: dict[str, type] = {"image_raw": Image, "camera_info": CameraInfo}
+        topics = dict(OUTPUT_TYPES)
         if config.source in (SIMULATOR, RGBD):
-            topics.update({"ground_truth/depth": Image, "ground_truth/image": Image})
+            topics |= TRUTH_TYPES
         if config.publish_clock:
             topics["/clock"] = ClockMessage
         self._outputs = Outputs(self, topics, local)
@@ -321,23 +277,42 @@ class CameraDriverNode(ManagedNode):
             frame = PixelFormat(mosaic=capture.mosaic).picture(frame)
         if publishes_clock:
             self._outputs.send("/clock", ClockMessage(clock=header.stamp))
-        self._publish_camera_info(capture, header)  # before its frame
-        if self._outputs.listened("image_raw"):
-            pixels = pixels_from_frame(frame, encoding)
-            self._outputs.send("image_raw", image_from_array(pixels, encoding, header))
-        if capture.depth_m is not None and self._outputs.listened("ground_truth/depth"):
+        info = self._camera_info(capture, header)
+        if info is not None:  # before its frame
+            self._outputs.send("camera_info", info)
+        self._publish_picture(frame, header)
+        if capture.depth_m is None:
+            return
+        if info is not None:
+            self._outputs.send("ground_truth/camera_info", info)
+        if self._outputs.listened("ground_truth/depth"):
             depth = image_from_array(capture.depth_m, "32FC1", header)
             self._outputs.send("ground_truth/depth", depth)
         if capture.sharp is not None and self._outputs.listened("ground_truth/image"):
             sharp = image_from_array(pixels_from_frame(capture.sharp, encoding), encoding, header)
             self._outputs.send("ground_truth/image", sharp)
 
-    def _publish_camera_info(self, capture: Capture, header: Header) -> None:
-        """Publish the model of a calibration that was given, or the recorded one, or the file's."""
+    def _publish_picture(self, frame: NDArray, header: Header) -> None:
+        """Publish a frame, raw and compressed, to those who subscribe."""
+        raw = self._outputs.listened("image_raw")
+        compressed = self._outputs.listened("image_raw/compressed")
+        if not (raw or compressed):
+            return
+        config = self._config
+        pixels = pixels_from_frame(frame, config.encoding)
+        if raw:
+            self._outputs.send("image_raw", image_from_array(pixels, config.encoding, header))
+        if compressed:
+            content = compressed_picture(
+                pixels, config.encoding, config.compressed_format, config.jpeg_quality
+            )
+            self._outputs.send("image_raw/compressed", compressed_message(content, header))
+
+    def _camera_info(self, capture: Capture, header: Header) -> CameraInfo | None:
+        """Model of a calibration that was given, or the recorded one, or the file's; or none."""
         recorded = capture.camera_info
         if recorded is not None and not self._config.camera_info_url:
-            self._outputs.send("camera_info", camera_info_from_recorded(recorded, header))
-            return
+            return camera_info_from_recorded(recorded, header)
         height, width = capture.frame.shape[:2]
         try:
             model = self._store and self._store.model_for(width, height)
@@ -346,8 +321,8 @@ class CameraDriverNode(ManagedNode):
             self.get_logger().warning(
                 f"camera_info not published: {error}", throttle_duration_sec=_LOG_PERIOD_S
             )
-            return
-        self._outputs.send("camera_info", camera_info_from_camera(model, header))
+            return None
+        return camera_info_from_camera(model, header)
 
     def _describe(self) -> dict[str, Any]:
         """Keyword arguments of `status_of`."""

@@ -14,11 +14,11 @@ from geometry_msgs.msg import TransformStamped
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from waiting import scaled, wait_until
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.io.messages import array_from_image
+from coded_aperture_ros.io.messages import array_from_compressed, array_from_image
 from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.optics.camera_file import camera_from_mapping
 from coded_aperture_ros.ros.camera_driver_node import CameraDriverNode
@@ -34,6 +34,7 @@ from coded_aperture_ros.sources import (
 from coded_aperture_ros.sources.device import automatic_controls
 
 WIDTH, HEIGHT = 64, 48
+COMPRESSED = "image_raw.compressed"
 CAMERA = {
     "focal_length_px": 119.4,
     "focus_distance_m": 1.9,
@@ -76,13 +77,15 @@ def test_the_simulator_publishes_frames_and_the_truth(ros, camera_file):
     infos = ros.subscribe("camera_info", CameraInfo)
     depths = ros.subscribe("ground_truth/depth", Image)
     sharp = ros.subscribe("ground_truth/image", Image)
+    true_infos = ros.subscribe("ground_truth/camera_info", CameraInfo)
     drive(ros, camera_file, "simulator", rate_hz=20.0, frame_id="front_optical_frame")
-    assert wait_until(lambda: min(map(len, (images, infos, depths, sharp))) >= 10)
-    stamps = [{stamp_ns(m.header) for m in stream} for stream in (images, infos, depths, sharp)]
+    streams = (images, infos, depths, sharp, true_infos)
+    assert wait_until(lambda: min(map(len, streams)) >= 10)
+    stamps = [stamps_of(stream) for stream in streams]
     assert len(set.intersection(*stamps)) >= 8  # the very same stamps on every topic
     now = ros.probe.get_clock().now().nanoseconds
     assert 0 < now - stamp_ns(images[-1].header) < 2_000_000_000
-    assert {message.header.frame_id for message in (*images, *infos, *depths)} == {
+    assert {message.header.frame_id for stream in streams for message in stream} == {
         "front_optical_frame"
     }
     assert (images[0].encoding, images[0].width, images[0].height) == ("bgr8", WIDTH, HEIGHT)
@@ -165,6 +168,49 @@ def write_video(path, frames=5):
     for index in range(frames):
         video.write(np.full((HEIGHT, WIDTH, 3), 40 * index, np.uint8))
     video.release()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "form", "kept"),
+    [
+        ({"encoding": "bgr8"}, "bgr8; png compressed bgr8", True),
+        ({"encoding": "mono16"}, "mono16; png compressed mono16", True),
+        ({"encoding": "mono8", f"{COMPRESSED}.format": "jpeg"}, "mono8; jpeg compressed ", False),
+        # JPEG would mix the colours of a mosaic, and has no 16 bits.
+        ({"encoding": "bayer_rggb8", f"{COMPRESSED}.format": "jpeg"}, "bayer_rggb8; png", True),
+        ({"encoding": "mono16", f"{COMPRESSED}.format": "jpeg"}, "mono16; png", True),
+    ],
+)
+def test_frames_are_compressed_for_those_who_ask(ros, camera_file, folder, parameters, form, kept):
+    node = drive(ros, camera_file, folder, **parameters)
+    raw = ros.subscribe("image_raw", Image, 50)
+    assert wait_until(lambda: raw)
+    assert not node._outputs.listened("image_raw/compressed")
+    packed = ros.subscribe("image_raw/compressed", CompressedImage, 50)
+    assert wait_until(lambda: {stamp_ns(m.header) for m in raw} & stamps_of(packed))
+    message = packed[-1]
+    assert wait_until(lambda: stamp_ns(message.header) in {stamp_ns(m.header) for m in raw})
+    (frame,) = (m for m in raw if stamp_ns(m.header) == stamp_ns(message.header))
+    assert message.format.startswith(form)
+    assert message.header.frame_id == frame.header.frame_id
+    pixels, _ = array_from_compressed(message)
+    assert (np.array_equal(pixels, array_from_image(frame))) == kept
+
+
+def test_lower_quality_makes_smaller_messages(ros, camera_file, folder):
+    sizes = []
+    for quality in (95, 30):
+        parameters = {f"{COMPRESSED}.format": "jpeg", f"{COMPRESSED}.jpeg_quality": quality}
+        node = drive(ros, camera_file, folder, **parameters)
+        packed = ros.subscribe("image_raw/compressed", CompressedImage)
+        assert wait_until(lambda: packed)  # noqa: B023
+        sizes.append(len(packed[-1].data))
+        ros.remove(node)
+    assert sizes[1] < 0.7 * sizes[0]
+
+
+def stamps_of(messages):
+    return {stamp_ns(message.header) for message in messages}
 
 
 def test_a_video_is_published(ros, camera_file, tmp_path):

@@ -1,13 +1,16 @@
 """Pictures and depth as image_transport's plugins compress and decode them."""
 
 import struct
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from coded_aperture_ros.io.messages import (
+    ENCODINGS,
     MessageError,
+    array_from_compressed,
     compressed_depth,
     compressed_picture,
     pixels_from_frame,
@@ -126,8 +129,29 @@ def test_pictures_are_readable_whatever_their_encoding(encoding, kind):
     assert np.abs(picture.astype(float) - expected).mean() < 3
 
 
-@pytest.mark.parametrize("encoding", ["32FC1", "bayer_rggb8"])
-def test_what_has_no_compressed_form_is_refused(encoding):
-    dtype = np.float32 if encoding == "32FC1" else np.uint8
+@pytest.mark.parametrize(
+    ("encoding", "kind", "form"),
+    [
+        ("mono8", "png", "mono8; png compressed "),
+        ("rgb8", "png", "rgb8; png compressed bgr8"),
+        ("rgb16", "jpeg", "rgb16; png compressed bgr16"),
+        ("bayer_rggb8", "jpeg", "bayer_rggb8; png compressed "),
+        ("bayer_gbrg16", "png", "bayer_gbrg16; png compressed "),
+    ],
+)
+def test_png_keeps_every_pixel(encoding, kind, form):
+    entry = ENCODINGS[encoding]
+    shape = (12, 16, 3) if entry.channels == 3 else (12, 16)
+    pixels = np.random.default_rng(0).integers(0, 256, shape).astype(entry.dtype)
+    data, found = compressed_picture(pixels, encoding, kind)
+    assert found == form
+    decoded, name = array_from_compressed(SimpleNamespace(data=data, format=found))
+    assert name == encoding
+    np.testing.assert_array_equal(decoded, pixels)
+
+
+@pytest.mark.parametrize(("encoding", "shape"), [("32FC1", (4, 4)), ("yuv422", (4, 4, 2))])
+def test_what_has_no_compressed_form_is_refused(encoding, shape):
+    pixels = np.zeros(shape, ENCODINGS[encoding].dtype)
     with pytest.raises(MessageError, match=f"{encoding} cannot be compressed"):
-        compressed_picture(np.zeros((4, 4), dtype), encoding)
+        compressed_picture(pixels, encoding)

@@ -16,6 +16,7 @@ from coded_aperture_ros.io.messages.camera_info import (
 from coded_aperture_ros.io.messages.camera_infos import CameraInfos
 from coded_aperture_ros.io.messages.compressed import (
     DEPTH_FORMATS,
+    PICTURE_FORMATS,
     compressed_depth,
     compressed_picture,
 )
@@ -44,6 +45,7 @@ from coded_aperture_ros.io.messages.frames import (
 __all__ = [
     "DEPTH_FORMATS",
     "ENCODINGS",
+    "PICTURE_FORMATS",
     "CameraInfos",
     "MessageError",
     "array_from_compressed",

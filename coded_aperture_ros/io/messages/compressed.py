@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.io.messages.encodings import MessageError, check_pixels
 
 DEPTH_FORMATS = ("png", "rvl")
+PICTURE_FORMATS = ("png", "jpeg")
 # Before the depth: "inverse depth", and the two numbers that a value is turned into metres by.
 _HEADER = struct.Struct("<i2f")
 # Steps of inverse depth to a metre's: image_transport's own number, a tenth of a millimetre at 1 m.
@@ -16,26 +17,44 @@ _STEPS = 10_100.0
 _MAX_VALUE = 65535
 # Robots have little time and a fast network.
 _PNG = (cv2.IMWRITE_PNG_COMPRESSION, 1)
-_JPEG = (cv2.IMWRITE_JPEG_QUALITY, 95)
+_JPEG_QUALITY = 95
 
 
-def compressed_picture(pixels: NDArray, encoding: str) -> tuple[bytes, str]:
-    """Data and format of a picture in the transport `compressed`: 8 bits as JPEG, 16 as PNG.
+def compressed_picture(
+    pixels: NDArray, encoding: str, kind: str = "jpeg", quality: int = _JPEG_QUALITY
+) -> tuple[bytes, str]:
+    """Data and format of a picture in the transport `compressed`.
 
-    Pixels are as one of `ENCODINGS` stores them. Raises `MessageError` of kind "encoding" if they
-    have no compressed form: floats, and mosaics.
+    Parameters
+    ----------
+    pixels : ndarray [rows, columns] or [rows, columns, channels]
+        As one of `ENCODINGS` stores them.
+    encoding : str
+    kind : str
+        ``png``, which keeps every pixel, or ``jpeg``, which 8 bits alone can have: 16 bits and
+        mosaics, of which it would mix neighbouring colours, are PNG all the same.
+    quality : int
+        Of JPEG, 1 to 100.
+
+    Raises
+    ------
+    MessageError
+        Of kind "encoding", if the pixels have no compressed form: floats, and YUV.
     """
     target = check_pixels(pixels, encoding)
-    if target.dtype == "f4" or target.mosaic or target.channels == 2:
+    if target.dtype == "f4" or target.channels == 2:
         raise MessageError("encoding", f"a picture of {encoding} cannot be compressed")
     if target.channels > 1:
         if target.to_rgb is not None:
             pixels = cv2.cvtColor(pixels, target.to_rgb)
         pixels = cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)
     deep = target.dtype == "u2"
-    kind, settings = ("png", _PNG) if deep else ("jpeg", _JPEG)
+    jpeg = kind == "jpeg" and not (deep or target.mosaic)
+    kind = "jpeg" if jpeg else "png"
+    settings = (cv2.IMWRITE_JPEG_QUALITY, quality) if jpeg else _PNG
     bits = 16 if deep else 8
-    stored = f"bgr{bits}" if target.channels > 1 else f"mono{bits}" if deep else ""
+    grey = f"mono{bits}" if deep and not target.mosaic else ""
+    stored = f"bgr{bits}" if target.channels > 1 else grey
     data = cv2.imencode(f".{kind}", pixels, settings)[1].tobytes()
     return data, f"{encoding}; {kind} compressed {stored}"
 
