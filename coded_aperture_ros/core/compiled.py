@@ -22,7 +22,8 @@ class Compiled:
     plain : callable
         The same with NumPy.
     finite : bool
-        Whether all values are finite; with False there may be NaN and infinite ones.
+        Whether all values are finite; with False there may be NaN and infinite ones. A division by
+        zero is no error.
 
     Examples
     --------
@@ -66,9 +67,9 @@ class Compiled:
             try:
                 from numba import njit
 
-                compiled: Callable[..., None] = njit(
-                    cache=cache, nogil=True, fastmath=self._finite
-                )(self.loop)
+                # Errors of division would keep loops from vector instructions.
+                options = {"cache": cache, "nogil": True, "error_model": "numpy"}
+                compiled = self._made(njit(**options, fastmath=self._finite))
                 compiled(*arrays)  # compiles it first: a failure leaves the arrays as they are
                 return compiled
             except Exception as error:
@@ -79,3 +80,7 @@ class Compiled:
             )
         self.plain(*arrays)
         return self.plain
+
+    def _made(self, compiles: Callable[..., Any]) -> Callable[..., None]:
+        """Loop that is compiled when it is called."""
+        return compiles(self.loop)

@@ -8,8 +8,9 @@ import pytest
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Trajectory
-from coded_aperture_ros.depth.moving.belief import carried, fused
+from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
+from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -198,10 +199,7 @@ def test_what_moves_by_itself_is_forgotten():
         if index == 6:
             there = depth < 2
             assert there.sum() > 500
-            assert (
-                error_of(Belief(*(m[there] for m in vars(step.belief).values())), depth[there])
-                < 0.1
-            )
+            assert error_of(Belief(*(m[there] for m in step.belief.maps)), depth[there]) < 0.1
 
 
 def test_carried_depth_is_that_of_the_new_view():

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
+from coded_aperture_ros.depth.moving.equations import add_equations
 from coded_aperture_ros.depth.moving.geometry import Pinhole
 
 # Points that are looked for, by OpenCV: how many, their least quality and distance, px. They are
@@ -24,15 +25,15 @@ _SEARCH_PX, _LEVELS, _BACK_LEVELS, _RETURN_PX = 13, 3, 1, 0.5
 _CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
 # Beginning of the motion: distance of points that agree, px, and tries.
 _AGREE_PX, _TRIES = 1.0, 100
-# Standard deviation of a found point, px, and what is added to that of its inverse depth, a share.
-_POINT_PX, _DEPTH_SHARE = 0.1, 0.05
+# What is added to the standard deviation of a point's inverse depth, a share.
+_DEPTH_SHARE = 0.05
 # Errors of depth are common to points: motions on walks were three times as far off as by errors of
 # each point's own.
 _COMMON = 3.0
-_ROUNDS, _CONVERGED = 8, 1e-5
-# Normalised errors from which points count less, and those that are no error of these points. A
-# motion with a larger median of them is none.
-_ROBUST, _OUTLIER, _MOST_MISFIT = 3.0, 9.0, 5.0
+_ROUNDS, _CONVERGED, _HELD = 8, 1e-5, 1e-13
+# Normalised squared errors that are no error of these points. A motion with a larger median of them
+# is none.
+_OUTLIER, _MOST_MISFIT = 9.0, 5.0
 # What a guess leads to is taken at once if the median and the share that goes with it are so good.
 _GOOD_MISFIT, _GOOD_SHARE = 1.5, 0.6
 
@@ -183,8 +184,7 @@ class Found:
 
     def disagreement(self, matrix: DoubleArray, view: Pinhole) -> float:
         """Median of the normalised squared errors under a motion [4, 4]; about 1 if it is right."""
-        errors, _ = _errors(self.landmarks, self.pixels, view, matrix)
-        return float(np.median(np.square(errors).sum(axis=1)))
+        return float(np.median(_normal_equations(self.landmarks, self.pixels, view, matrix)[0]))
 
 
 def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> DoubleArray | None:
@@ -208,48 +208,15 @@ def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> Doub
     return matrix
 
 
-def _errors(
-    landmarks: Landmarks, pixels: DoubleArray, view: Pinhole, matrix: DoubleArray
-) -> tuple[DoubleArray, DoubleArray]:
-    """Normalised errors of the points [n, 2], and their slopes [n, 2, 6].
-
-    Along a point's epipolar line and across it: only along the line counts how uncertain its depth
-    is. The slopes are by translation and rotation.
-    """
-    inverse, focal_px = landmarks.inverse, np.array(view.focal_px)
-    rays = np.column_stack([view.rays(landmarks.pixels), np.ones(len(inverse))])
-    x, y, z = (rays @ matrix[:3, :3].T + inverse[:, None] * matrix[:3, 3]).T
-    z = np.maximum(z, 1e-3)
-    x, y = x / z, y / z
-    zero, one = np.zeros_like(x), np.ones_like(x)
-    # Of the pixel by the point, times its depth; then by translation and rotation.
-    by_point = np.array([[one, zero, -x], [zero, one, -y]]) * focal_px[:, None, None]  # [2, 3, n]
-    by_turn = np.array([[-x * y, 1 + x * x, -y], [-1 - y * y, x * y, x]])
-    by_motion = np.concatenate([by_point * (inverse / z), by_turn * focal_px[:, None, None]], 1)
-    along = np.einsum("ain,i->an", by_point, matrix[:3, 3]) / z
-    length = np.hypot(*along)
-    across = np.divide(along, length, out=np.stack([one, zero]), where=length > 0)
-    axes = np.array([across, [-across[1], across[0]]])  # [2 axes, 2, n]
-    deviations = np.sqrt(_POINT_PX**2 + np.stack([landmarks.variance * length**2, zero]))
-    axes = axes / deviations[:, None]
-    errors = pixels.T - (np.stack([x, y]) * focal_px[:, None] + np.array(view.centre)[:, None])
-    normalised = (axes * errors).sum(1).T
-    slopes = (axes[:, :, None] * by_motion).sum(1).transpose(2, 0, 1)
-    return normalised, np.ascontiguousarray(slopes)
-
-
 def _improved(
     matrix: DoubleArray, landmarks: Landmarks, pixels: DoubleArray, view: Pinhole
 ) -> Motion:
     """Likeliest motion near a first one; outliers count less (Cauchy's weights)."""
     for _ in range(_ROUNDS):
-        errors, slopes = _errors(landmarks, pixels, view, matrix)
-        squares = np.square(errors).sum(axis=1)
-        weights = 1 / np.sqrt(1 + squares / _ROBUST**2)
-        slopes = (slopes * weights[:, None, None]).reshape(-1, 6)
-        information = slopes.T @ slopes
-        pull = slopes.T @ (errors * weights[:, None]).ravel()
-        change = np.linalg.lstsq(information, pull, rcond=1e-12)[0]
+        squares, information, pull = _normal_equations(landmarks, pixels, view, matrix)
+        # Where nothing tells a direction, nothing changes in it.
+        held = information + _HELD * np.trace(information) * np.eye(6)
+        change = np.linalg.solve(held, pull)
         turn = cv2.Rodrigues(change[3:])[0]
         matrix = matrix.copy()
         matrix[:3, 3] = turn @ matrix[:3, 3] + change[:3]
@@ -257,4 +224,19 @@ def _improved(
         if np.abs(change).max() < _CONVERGED:
             break
     share, misfit = float((squares < _OUTLIER).mean()), float(np.median(squares))
-    return Motion(matrix, _COMMON**2 * np.linalg.pinv(information), share, misfit)
+    covariance = np.asarray(_COMMON**2 * np.linalg.pinv(information), np.float64)
+    return Motion(matrix, covariance, share, misfit)
+
+
+def _normal_equations(
+    landmarks: Landmarks, pixels: DoubleArray, view: Pinhole, matrix: DoubleArray
+) -> tuple[DoubleArray, DoubleArray, DoubleArray]:
+    """Normalised squared errors [n], their information on a change [6, 6], and its pull [6].
+
+    Along a point's epipolar line and across it: only along the line counts how uncertain its depth
+    is. A change is that of translation and rotation.
+    """
+    squares, system = np.empty(len(pixels)), np.empty((7, 6))
+    points = view.rays(landmarks.pixels), landmarks.inverse, landmarks.variance
+    add_equations(points, pixels, (view.focal_px, view.centre), matrix, (squares, system))
+    return squares, system[:6], system[6]

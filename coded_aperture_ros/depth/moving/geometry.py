@@ -4,11 +4,15 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, Shape
 from coded_aperture_ros.optics import Camera
 
+# Homography of points at infinity [3, 3], and their shift by inverse depth [3], float32, pixels: a
+# pixel (column, row, 1), times the one, and the other times its inverse depth added, is where it is
+# in another view, times the depth there over that before.
+Way = tuple[FloatArray, FloatArray]
 # Points nearer than this share of their depth before are behind the camera, or about to be.
-_LEAST_DEPTH = np.float32(0.05)
+LEAST_DEPTH = np.float32(0.05)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,6 +58,11 @@ class Pinhole:
         (fx, fy), (cx, cy) = self.focal_px, self.centre
         return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
 
+    def way(self, motion: DoubleArray) -> Way:
+        """Where pixels are after a motion [4, 4]; see `Way`."""
+        turned = self.matrix @ motion[:3, :3] @ np.linalg.inv(self.matrix)
+        return turned.astype(np.float32), (self.matrix @ motion[:3, 3]).astype(np.float32)
+
     def rays(self, pixels: DoubleArray | FloatArray) -> DoubleArray:
         """Tangents of the angles at pixels [n, 2] (column, row), float64 [n, 2]."""
         return (np.asarray(pixels, np.float64) - self.centre) / self.focal_px
@@ -68,51 +77,38 @@ class Transfer:
 
     Parameters
     ----------
-    view : Pinhole
-        Of both views.
-    motion : ndarray, float64 [4, 4]
-        Turns points of the first view into those of the second.
+    way : Way
+        From the first view to the second.
+    shape : (int, int)
+        Rows and columns of both.
     every : int, optional
         Of how many rows and columns of the first view one is asked for.
     """
 
-    def __init__(self, view: Pinhole, motion: DoubleArray, every: int = 1) -> None:
-        (rows, columns), (fx, fy), (cx, cy) = view.shape, view.focal_px, view.centre
-        x = ((np.arange(0, columns, every) - cx) / fx).astype(np.float32)
-        y = ((np.arange(0, rows, every) - cy) / fy).astype(np.float32)[:, None]
-        turned = motion[:3, :3].astype(np.float32)
-        # The ray of every pixel, turned: a point on it is at (ray + shift * inverse depth).
-        self._ray = [row[0] * x + (row[1] * y + row[2]) for row in turned]
-        self._shift = motion[:3, 3].astype(np.float32)
-        self._view = view
+    def __init__(self, way: Way, shape: Shape, every: int = 1) -> None:
+        turn, self._shift = way
+        column = np.arange(0, shape[1], every, dtype=np.float32)
+        row = np.arange(0, shape[0], every, dtype=np.float32)[:, None]
+        # Of every pixel at infinity; of a point, add the shift by its inverse depth.
+        self._ray = [each[0] * column + (each[1] * row + each[2]) for each in turn]
 
     def depth_ratio(self, inverse: FloatArray) -> FloatArray:
         """Depth in the second view over that in the first, at least 0.05 [rows, columns]."""
-        ratio: FloatArray = np.maximum(self._ray[2] + self._shift[2] * inverse, _LEAST_DEPTH)
+        ratio: FloatArray = np.maximum(self._ray[2] + self._shift[2] * inverse, LEAST_DEPTH)
         return ratio
-
-    def is_ahead(self, inverse: FloatArray) -> BoolArray:
-        """Whether points are before the second camera, bool [rows, columns]."""
-        return np.asarray(self._ray[2] + self._shift[2] * inverse > _LEAST_DEPTH)
 
     def columns_rows(self, inverse: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Column and row in the second view of every pixel, float32 [rows, columns] each."""
         nearer = 1 / self.depth_ratio(inverse)
         column = (self._ray[0] + self._shift[0] * inverse) * nearer
         row = (self._ray[1] + self._shift[1] * inverse) * nearer
-        column *= np.float32(self._view.focal_px[0])
-        column += np.float32(self._view.centre[0])
-        row *= np.float32(self._view.focal_px[1])
-        row += np.float32(self._view.centre[1])
         return column, row
 
     def parallax(self, inverse: FloatArray) -> FloatArray:
         """Pixels that a point moves where its inverse depth grows by 1/m [rows, columns]."""
         squared = 1 / np.square(self.depth_ratio(inverse))
         moved = [
-            np.float32(focal_px)
-            * (self._shift[axis] * self._ray[2] - self._shift[2] * self._ray[axis])
-            * squared
-            for axis, focal_px in enumerate(self._view.focal_px)
+            (self._shift[axis] * self._ray[2] - self._shift[2] * self._ray[axis]) * squared
+            for axis in (0, 1)
         ]
         return np.asarray(np.hypot(*moved), np.float32)

@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
-from coded_aperture_ros.depth.moving.belief import Belief, carried, fused
+from coded_aperture_ros.depth.moving.belief import Belief
+from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion
+from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 
@@ -216,8 +218,8 @@ class MovingMemory:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""
         # The middle of the picture, as far as most of it.
         middle = Pinhole((1, 1), self._view.focal_px, (0.0, 0.0))
-        inverse = np.full((1, 1), _middle(belief), np.float32)
-        shift_px = np.hypot(*Transfer(middle, matrix).columns_rows(inverse))
+        inverse = np.full((1, 1), belief.middle, np.float32)
+        shift_px = np.hypot(*Transfer(middle.way(matrix), middle.shape).columns_rows(inverse))
         return float(1 - np.exp(-shift_px[0, 0] / _NEW_PX))
 
     def _with_parallax(
@@ -229,27 +231,27 @@ class MovingMemory:
         """
 
         def unsuited(seen: Seen) -> float:
-            parallax_px = self._parallax_px(seen, pose, belief)
+            parallax_px = self._parallax_px(seen, pose, belief.middle)
             return abs(float(np.log((parallax_px + 1e-3) / _BEST_PARALLAX_PX)))
 
         best = min(self._seen, key=unsuited, default=None)
-        if best is None or self._parallax_px(best, pose, belief) < _LEAST_PARALLAX_PX:
+        if best is None or self._parallax_px(best, pose, belief.middle) < _LEAST_PARALLAX_PX:
             return belief
         told = by_parallax(roots, best, pose, self._view, belief, *errors)
         together = fused(belief, told, _PARALLAX_AGREEMENT)
         smooth = cv2.medianBlur(together.inverse, _GRAIN_PX)
         return dataclasses.replace(together, inverse=smooth)
 
-    def _parallax_px(self, seen: Seen, pose: DoubleArray, belief: Belief) -> float:
-        """About how far the middle of the scene has moved since a frame, but for rotation, px."""
-        shift = (np.linalg.inv(seen.pose) @ pose)[:3, 3]
+    def _parallax_px(self, seen: Seen, pose: DoubleArray, inverse: float) -> float:
+        """About how far what has an inverse depth moved since a frame, but for rotation, px."""
+        shift = seen.pose[:3, :3].T @ (pose[:3, 3] - seen.pose[:3, 3])
         length = float(np.hypot(np.hypot(*shift[:2]), _FORWARD * shift[2]))
-        return length * self._view.focal_px[0] * _middle(belief)
+        return length * self._view.focal_px[0] * inverse
 
     def _keep_seen(self, seen: Seen, belief: Belief) -> None:
         """Keep a frame, unless it has hardly any parallax to the last that was kept."""
         last = self._seen[-1] if self._seen else None
-        if last is None or self._parallax_px(last, seen.pose, belief) > _LEAST_PARALLAX_PX:
+        if last is None or self._parallax_px(last, seen.pose, belief.middle) > _LEAST_PARALLAX_PX:
             self._seen = (*self._seen, seen)[-_KEPT:]
 
     def _follow(self, image: NDArray[np.uint8], step: Step, moved: _Moved) -> None:
@@ -260,8 +262,3 @@ class MovingMemory:
             self._key = dataclasses.replace(key, since=moved.since)
         else:
             self._key = _Key(Landmarks.of(image, step.belief), np.eye(4))
-
-
-def _middle(belief: Belief) -> float:
-    """About the median of the inverse depth, 1/m."""
-    return float(np.median(belief.inverse[::_SPARSE, ::_SPARSE]))
