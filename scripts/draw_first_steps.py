@@ -3,8 +3,8 @@
 
     python scripts/draw_first_steps.py SAMPLE [OUTPUT]
 
-SAMPLE is the folder of `coded_aperture sample` after steps 3 to 5 of docs/start.md. Needs the folder
-`benchmarks` on the path (make puts it there).
+SAMPLE is the folder of `coded_aperture sample` after steps 3 to 5 of docs/start.md. Needs the
+folder `benchmarks` on the path (make puts it there).
 """
 
 import sys

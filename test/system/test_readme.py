@@ -129,9 +129,7 @@ def test_the_readme_fits_one_screen_of_reading(checkout):
 def test_the_python_of_the_readme_runs(checkout, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert main(["sample"]) == 0
-    (example,) = re.findall(
-        r"```python\n(.*?)```", (checkout / "README.md").read_text(), re.DOTALL
-    )
+    (example,) = re.findall(r"```python\n(.*?)```", (checkout / "README.md").read_text(), re.DOTALL)
     names = {}
     exec(compile(example, "README.md", "exec"), names)
     truth_m = read_depth("sample/depth.png")
