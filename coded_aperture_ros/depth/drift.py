@@ -3,7 +3,8 @@
 A single frame says little of a mask that is turned by a few degrees or covered in part, since its
 texture has directions, too. Over minutes of a camera that moves, textures average out, and what the
 mask says adds up. Frames are looked at once a second at most, and those of a camera that stands
-still count once.
+still count once. What says that the mask has changed has to come from several views: one scene's
+texture may look like a turn of 6 degrees.
 """
 
 import dataclasses
@@ -42,6 +43,19 @@ _LOW_HEALTH = 0.6
 # are alike, as a share of their light.
 _SMALL_PX = 16
 _ALIKE = 0.04
+# Fewest different views that tell a change of the mask. Two views differ if the middle of neither
+# is found in the other one with a correlation of so much; of 18 photographs of scenes 16 do, of the
+# demo's scene, which the camera pans over, three parts.
+_FEWEST_VIEWS = 5
+_SAME_VIEW = 0.5
+# Side of the pictures that views are compared by, px, and the scale of the light that is not: the
+# standard deviation of a Gaussian, px.
+_VIEW_PX = 32
+_VIEW_SCALE_PX = 3.0
+# Added to the light, so that the dark counts as little as noise makes it.
+_VIEW_DARK = 0.02
+# Most views that are remembered.
+_MOST_VIEWS = 20
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -106,6 +120,7 @@ class DriftWatch:
         self._since_s: dict[str, float] = {}
         self._seen_s = -math.inf
         self._small: FloatArray | None = None
+        self._views: deque[tuple[float, FloatArray]] = deque(maxlen=_MOST_VIEWS)
         self.drift: Drift | None = None
 
     def due(self, now_s: float) -> bool:
@@ -124,7 +139,8 @@ class DriftWatch:
         noise = max(estimate.noise / math.sqrt(frame.channels), NOISE_FLOOR)
         look = self._test.look(grey, noise, unusable)
         if look is not None:
-            self.add(now_s, math.nan if estimate.health is None else estimate.health.value, look)
+            health = math.nan if estimate.health is None else estimate.health.value
+            self.add(now_s, health, look, view_of(grey))
 
     def _is_alike(self, grey: FloatArray) -> bool:
         """Whether a frame is about the last one that was looked at; else it becomes that."""
@@ -135,13 +151,22 @@ class DriftWatch:
         self._small = small
         return False
 
-    def add(self, now_s: float, health: float, look: MaskLook) -> None:
-        """Add what was seen of a frame; a health of NaN is unknown."""
+    def add(self, now_s: float, health: float, look: MaskLook, view: FloatArray) -> None:
+        """Add what was seen of a frame, and its `view_of`; a health of NaN is unknown."""
         if self._looks and now_s - self._looks[0][0] >= _MINUTE_S:
             self._end_minute()
         self._looks.append((now_s, health, look))
         for average in self._averages.values():
             average.add(np.array([health, look.residual, *look.gains]), now_s)
+        self._note_view(now_s, view)
+
+    def _note_view(self, now_s: float, view: FloatArray) -> None:
+        """Remember a view with the time when it was seen last."""
+        for number, (_, before) in enumerate(self._views):
+            if is_same_view(view, before):
+                self._views[number] = now_s, before
+                return
+        self._views.append((now_s, view))
 
     def figures(self) -> dict[str, float]:
         """Averages for /diagnostics, by name; empty before the first frame."""
@@ -184,7 +209,10 @@ class DriftWatch:
         gains = np.mean([minute.look.gains for minute in self._minutes], axis=0)
         angle, covers = turn_deg(gains), gains[len(TURNS_DEG) :]
         found = {}
-        if covers.max() >= max(_LEAST_GAIN, gains[: len(TURNS_DEG)].max()):
+        began_s = self._minutes[0].began_s
+        if sum(seen_s >= began_s for seen_s, _ in self._views) < _FEWEST_VIEWS:
+            pass  # the texture of so few scenes may look like anything
+        elif covers.max() >= max(_LEAST_GAIN, gains[: len(TURNS_DEG)].max()):
             row, column = divmod(int(covers.argmax()), PARTS)
             found["covered"] = (
                 f"the mask looks covered in row {row + 1}, column {column + 1} of {PARTS}x{PARTS}, "
@@ -207,6 +235,29 @@ class DriftWatch:
                 "what has moved"
             )
         return found
+
+
+def view_of(grey: FloatArray) -> FloatArray:
+    """Small picture of a frame, float32 [32, 32], by which views are compared.
+
+    Parameters
+    ----------
+    grey : ndarray, float32 [height, width]
+        Linear light.
+    """
+    small = cv2.resize(grey, (_VIEW_PX, _VIEW_PX), interpolation=cv2.INTER_AREA)
+    light = np.log(np.maximum(small, 0) + np.float32(_VIEW_DARK))
+    return np.asarray(light - cv2.GaussianBlur(light, (0, 0), _VIEW_SCALE_PX), np.float32)
+
+
+def is_same_view(one: FloatArray, other: FloatArray) -> bool:
+    """Whether two `view_of` overlap: the middle of one is found in the other one."""
+    middle = np.s_[_VIEW_PX // 4 : -_VIEW_PX // 4, _VIEW_PX // 4 : -_VIEW_PX // 4]
+    found = (
+        cv2.matchTemplate(whole, part[middle], cv2.TM_CCOEFF_NORMED).max()
+        for whole, part in ((one, other), (other, one))
+    )
+    return max(found) >= _SAME_VIEW
 
 
 def turn_deg(gains: DoubleArray) -> float:

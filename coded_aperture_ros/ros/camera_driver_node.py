@@ -177,6 +177,9 @@ class CameraDriverNode(ManagedNode):
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=self.get_name(), daemon=True)
         self._thread.start()
+        topic = self.resolve_topic_name("image_raw")
+        when = ", once somebody subscribes" if self.configs[LazyConfig].lazy else ""
+        self.get_logger().info(f"frames of {self._config.source} go to {topic}{when}")
 
     def stop_work(self) -> None:
         """End the thread, which closes the source, as soon as the frame in work is done."""

@@ -7,7 +7,7 @@ import pytest
 
 from coded_aperture_ros.calibration.service.mask import turned
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.drift import DriftWatch, turn_deg
+from coded_aperture_ros.depth.drift import DriftWatch, is_same_view, turn_deg, view_of
 from coded_aperture_ros.depth.quality.mask_test import PARTS, TURNS_DEG, MaskLook, MaskTest, covered
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import learn_bank
@@ -108,10 +108,13 @@ def look(angle=0.0, part=None, residual=0.0):
     return MaskLook(gains, residual)
 
 
-def minutes_of(watch, looks, first_s=0.0, health=0.9, minutes=4):
+VIEWS = [view_of(np.random.default_rng(number).random((64, 64), np.float32)) for number in range(8)]
+
+
+def minutes_of(watch, looks, first_s=0.0, health=0.9, minutes=4, views=VIEWS):
     """Add frames of some minutes, one a second; return when the next one begins."""
     for second in range(60 * minutes + 1):
-        watch.add(first_s + second, health, looks)
+        watch.add(first_s + second, health, looks, views[second % len(views)])
     return first_s + 60 * minutes + 1
 
 
@@ -159,25 +162,60 @@ def test_frames_without_a_health_are_compared_all_the_same(watch):
     assert "turned by 8 degrees" in watch.drift.text
 
 
+@pytest.mark.parametrize(("count", "told"), [(4, False), (5, True)])
+@pytest.mark.parametrize("changed", [look(angle=8.0), look(part=1)])
+def test_few_views_say_nothing_of_the_mask(watch, changed, count, told):
+    minutes_of(watch, changed, minutes=6, views=VIEWS[:count])
+    assert (watch.drift is not None) == told
+
+
+def test_views_of_long_ago_do_not_count(watch):
+    then_s = minutes_of(watch, look(), minutes=3)
+    minutes_of(watch, look(angle=8.0), then_s, minutes=7, views=VIEWS[:2])
+    assert watch.drift is None
+
+
+def test_health_is_watched_in_few_views_too(watch):
+    then_s = minutes_of(watch, look(), views=VIEWS[:1])
+    minutes_of(watch, look(), then_s, health=0.3, minutes=6, views=VIEWS[:1])
+    assert "0.30 in place of 0.90" in watch.drift.text
+
+
+@pytest.mark.parametrize(("right", "down"), [(0, 0), (80, 0), (-60, 40)])
+def test_what_a_camera_pans_over_is_the_same_view(levin, right, down):
+    whole = random_scene(1_000_200, levin, shape=(480, 640), blur_range_px=(4.0, 14.0)).coded()
+    other = random_scene(1_000_201, levin, shape=(480, 640), blur_range_px=(4.0, 14.0)).coded()
+    here, there, other = (
+        view_of(light[top : top + 320, left : left + 400])
+        for light, top, left in (
+            (whole, 80, 120),
+            (whole, 80 + down, 120 + right),
+            (other, 80, 120),
+        )
+    )
+    assert is_same_view(here, there)
+    assert not is_same_view(here, other)
+
+
 def test_minutes_with_few_frames_do_not_count(watch):
     for second in range(0, 1200, 10):
-        watch.add(float(second), 0.9, look(angle=6.0))
+        watch.add(float(second), 0.9, look(angle=6.0), VIEWS[0])
     assert watch.drift is None
 
 
 def test_the_short_average_follows_sooner(watch):
     now_s = minutes_of(watch, look())
     for second in range(30):
-        watch.add(now_s + second, 0.3, look())
+        watch.add(now_s + second, 0.3, look(), VIEWS[0])
     figures = watch.figures()
     assert figures["health_10s"] < 0.4 < 0.8 < figures["health_10min"]
 
 
 def test_health_that_is_not_known_is_left_out(watch):
-    watch.add(0.0, np.nan, look())
+    watch.add(0.0, np.nan, look(), VIEWS[0])
     assert "health_10s" not in watch.figures() and "residual_10s" in watch.figures()
-    watch.add(1.0, 0.8, look())
-    watch.add(2.0, np.nan, look())
+    watch.add(1.0, 0.8, look(), VIEWS[0])
+    watch.add(2.0, np.nan, look(), VIEWS[0])
     assert watch.figures()["health_10s"] == pytest.approx(0.8)
 
 

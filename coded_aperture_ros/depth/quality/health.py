@@ -29,8 +29,8 @@ CAUSES = {
     "motion": "motion blur: expose for less time, or use motion",
     "clipped": "clipped light: expose for less time",
     "noise": "noise unlike the camera file's, or with a pattern: measure it with calibrate noise",
-    "range": "nearer or farther than the bank's levels, or all in focus: learn the bank for more "
-    "depths, or focus as the camera file says",
+    "range": "nearer or farther than the bank's levels, all in focus, or taken without the mask: "
+    "learn the bank for more depths, focus as the camera file says, or put the mask in",
     "scale": "pictures that were enlarged, binned or cropped: record them as the sensor reads them "
     "out",
     "tone": "values are not linear light: set the gamma",
