@@ -262,6 +262,7 @@ def test_layer_is_a_line_of_the_table_and_of_the_policy(toy_stage, generator):
 
 
 def test_what_is_generated_is_up_to_date(generator):
-    assert generator.TABLE.read_text() == generator.layer_table()
+    page = generator.CHECKOUT / "docs" / "topics.md"  # the rest is compared in test/ros
+    assert page.read_text().endswith(generator.layer_table())
     text = generator.POLICY.read_text()
     assert text == generator.policy(text)
