@@ -9,6 +9,7 @@ from importlib import import_module
 from pathlib import Path
 
 import pytest
+from documented_python import python_examples
 
 PACKAGE = "coded_aperture_ros"
 FLAGS = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
@@ -40,10 +41,9 @@ def test_there_are_examples():
 def test_examples_of_the_documents_pass_strict_types(checkout, tmp_path):
     """From another folder, as in a project that uses the package: it ships its types."""
     pytest.importorskip("mypy")
-    texts = [(checkout / name).read_text() for name in ("README.md", "docs/commands.md")]
-    examples = [
-        one for text in texts for one in re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    ]
+    of_pages = [python_examples(checkout / name) for name in ("README.md", "docs/api.rst")]
+    # Those of the reference go on where the one before ends.
+    examples = [*of_pages[0], "\n".join(of_pages[1])]
     assert examples
     files = [f"example_{number}.py" for number in range(len(examples))]
     for file, example in zip(files, examples, strict=True):

@@ -9,6 +9,7 @@ import sys
 import numpy as np
 import pytest
 from asymmetric_planes import few_steps
+from documented_python import python_examples
 
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.io import read_depth
@@ -23,6 +24,8 @@ _NOT_RUN = (
     "check --camera hq.yaml --bank bank.npz",
     "depth --bank bank.npz --gamma 2.2",
 )
+# Examples of `--help`, which `test_cli_examples` runs.
+_GENERATED = "<!-- What follows is generated"
 _FAILS = {"check --camera camera.yaml --bank bank.npz sharp.png": 1}
 
 
@@ -77,7 +80,7 @@ def test_the_commands_of_a_page_run_one_after_the_other(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "config").symlink_to(checkout / "config")
-    text = (checkout / page).read_text()
+    text = (checkout / page).read_text().partition(_GENERATED)[0]
     commands = commands_of(text)
     printed = []
     assert len(commands) >= least
@@ -110,12 +113,19 @@ def test_the_commands_of_a_page_run_one_after_the_other(
             monkeypatch.chdir(tmp_path / "sample")
             write_described(text, tmp_path / "sample")
     assert_printed(text, printed)
-    if page != "docs/commands.md":
-        return
-    (example,) = re.findall(r"```python\n(.*?)```", (checkout / page).read_text(), re.DOTALL)
+
+
+@pytest.mark.slow
+def test_the_examples_of_the_reference_run_one_after_the_other(checkout, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["sample"]) == 0
+    monkeypatch.chdir(tmp_path / "sample")
     names = {}
-    exec(compile(example, page, "exec"), names)
+    for example in python_examples(checkout / "docs" / "api.rst"):
+        exec(compile(example, "docs/api.rst", "exec"), names)
     assert names["sharp"].shape == names["frame"].shape == (480, 640, 3)
+    assert np.median(names["error"]) < 0.02
+    assert names["by_patch"].estimate(names["frame"]).depth_m.shape == (480, 640)
 
 
 def test_the_readme_fits_one_screen_of_reading(checkout):
