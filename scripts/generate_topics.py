@@ -59,7 +59,7 @@ Python it is `estimate.layers[name]`. Each stage in `coded_aperture_ros/depth/st
 # What topics are that no layer describes.
 _MEANING = {
     "image_raw": "Coded frames.",
-    "image_raw/compressed": "The same, compressed without loss.",
+    "image_raw/compressed": "The same, compressed.",
     "camera_info": "Camera model of the frames.",
     "ground_truth/camera_info": "Camera model of the true pictures.",
     "ground_truth/depth": "True depth of simulated frames, m.",
