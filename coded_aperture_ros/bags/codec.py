@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.contents import Topic
+from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.depth.points import POINT_FIELDS
 from coded_aperture_ros.frames.pictures import quantisation_sigma
 from coded_aperture_ros.io.messages import (
     MessageError,
@@ -28,6 +30,8 @@ from coded_aperture_ros.optics import Intrinsics
 IMAGE = "sensor_msgs/msg/Image"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+POINTS = "sensor_msgs/msg/PointCloud2"
+POINT_FIELD = "sensor_msgs/msg/PointField"
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -110,6 +114,29 @@ def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
         data=np.ascontiguousarray(pixels).view(np.uint8).reshape(-1),
     )
     return _store().serialize_cdr(message, IMAGE)
+
+
+def cloud_data(points: FloatArray, header: Any) -> memoryview:
+    """Serialised organised cloud of points, float32 [rows, columns, 6]; see `points_of_depth`."""
+    types = _store().types
+    field = types[POINT_FIELD]
+    fields = [
+        field(name=name, offset=4 * index, datatype=field.FLOAT32, count=1)
+        for index, name in enumerate(POINT_FIELDS)
+    ]
+    rows, columns = points.shape[:2]
+    message = types[POINTS](
+        header=header,
+        height=rows,
+        width=columns,
+        fields=fields,
+        is_bigendian=sys.byteorder == "big",
+        point_step=points.strides[1],
+        row_step=points.strides[0],
+        data=points.view(np.uint8).reshape(-1),
+        is_dense=False,
+    )
+    return _store().serialize_cdr(message, POINTS)
 
 
 def camera_info_data(info: Any, size: tuple[int, int], header: Any) -> memoryview:

@@ -89,6 +89,8 @@ class BagConversion:
         Expected motion of all frames, or None, for their camera; picklable.
     bits : int
         Of 16-bit frames.
+    points : bool
+        Whether there are point clouds in the new bag.
     settings : mapping
         For the report.
     processes : int
@@ -109,6 +111,7 @@ class BagConversion:
     prior: Callable[[Camera], ExpectedMotion | None] = _nothing_expected
     bits: int = 16
     mosaic: str = ""
+    points: bool = False
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     processes: int = 0
     threads: int = 0
@@ -166,6 +169,7 @@ class BagConversion:
             self.bits,
             self.threads if self._processes == 1 else 1,
             self.mosaic,
+            self.points,
         )
         processor = kept_processor(pickle.dumps(recipe))
         if references:
@@ -195,7 +199,7 @@ class BagConversion:
         with _prepared(plan, processes) as work, bag_output(target, bag.storage) as writer:
             preparation_s = time.perf_counter() - started_s
             left_out = _add_contents(bag, writer)
-            for topic in result_topics(plan.outputs, pipeline.deblurs):
+            for topic in result_topics(plan.outputs, pipeline.deblurs, self.points):
                 writer.add_topic(topic)
             record.start()
             steps = in_order(
@@ -229,7 +233,7 @@ class BagConversion:
             "output": str(target),
             "storage": bag.storage,
             "topic": plan.image.name,
-            "outputs": plan.outputs.present(record.layers),
+            "outputs": plan.outputs.present(record.layers, points=self.points),
             "damage": bag.damage,
             "camera_info": dict(record.camera_info),
             "frames": record.frames,

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
+import cv2
+import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.codec import Picture, read_picture
@@ -36,6 +38,8 @@ class DepthMaps:
     health : Health or None
     layers : mapping of str to Layer
         Everything else that the estimate has, by name.
+    colours : ndarray, uint8 [rows, columns, RGB], optional
+        Of the points of a cloud.
     """
 
     depth_m: FloatArray
@@ -44,6 +48,7 @@ class DepthMaps:
     noise: float
     health: Health | None = None
     layers: Mapping[str, Layer] = dataclasses.field(default_factory=dict)
+    colours: NDArray[np.uint8] | None = None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -101,6 +106,8 @@ class FrameProcessor:
         Of 16-bit frames.
     mosaic : str
         Order of the colour filters of grey frames whose messages name none.
+    points : bool
+        Whether the results have the colours of point clouds.
     """
 
     pipeline: FramePipeline
@@ -111,6 +118,7 @@ class FrameProcessor:
     prior: ExpectedMotion | None = None
     bits: int = 16
     mosaic: str = ""
+    points: bool = False
 
     def prepare(self, data: bytes) -> None:
         """Compute beforehand, with a message of a frame, what the first one would wait for."""
@@ -142,6 +150,7 @@ class FrameProcessor:
             estimate.noise,
             estimate.health,
             estimate.layers,
+            self._colours(frame) if self.points else None,
         )
         processed = ProcessedFrame(
             header=picture.header, encoding=picture.encoding, maps=maps, seconds=timer.seconds
@@ -157,6 +166,12 @@ class FrameProcessor:
         timer.lap("deblur")
         return dataclasses.replace(processed, sharp=stored, seconds=timer.seconds)
 
+    def _colours(self, frame: Frame) -> NDArray[np.uint8]:
+        """Colours of the depth images' pixels, uint8 [rows, columns, RGB]."""
+        rows, columns = self.map_size
+        light = cv2.resize(frame.light, (columns, rows), interpolation=cv2.INTER_AREA)
+        return pixels_from_frame(light, "rgb8", self.gamma)
+
     def _decoded(self, data: bytes) -> tuple[Picture, Frame]:
         picture = read_picture(data, self.type_name, self.mosaic)
         rows, columns = picture.pixels.shape[:2]
@@ -165,7 +180,7 @@ class FrameProcessor:
                 "size", f"the frame is {columns}x{rows}, others are {self.size[1]}x{self.size[0]}"
             )
         pixel_format = PixelFormat(self.gamma, self.bits, picture.mosaic)
-        colour = self.pipeline.deblurs
+        colour = self.pipeline.deblurs or self.points
         frame = pixel_format.frame(
             picture.pixels, picture.compression_loss, colour=colour, motion=self.prior
         )
@@ -193,7 +208,7 @@ class FrameRecipe:
         Of the whole view, at the scale of the frames.
     view : View
         What the frames show of it.
-    type_name, map_size, gamma, bits, mosaic
+    type_name, map_size, gamma, bits, mosaic, points
         See `FrameProcessor`.
     threads : int
         Of the pipeline, if its configuration leaves them open; 0: as many as it chooses.
@@ -209,6 +224,7 @@ class FrameRecipe:
     bits: int
     threads: int
     mosaic: str = ""
+    points: bool = False
 
     def make(self) -> FrameProcessor:
         """Return a new processor; an `InputError` if the bank does not suit the frames."""
@@ -231,6 +247,7 @@ class FrameRecipe:
             self.prior(camera),
             self.bits,
             self.mosaic,
+            self.points,
         )
 
 

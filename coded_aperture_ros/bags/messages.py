@@ -13,9 +13,15 @@ from coded_aperture_ros.bags.frames import ProcessedFrame
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.topics import Outputs
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, DEPTH, STD_DEV
+from coded_aperture_ros.depth.points import points_of_depth
 from coded_aperture_ros.frames import View
-from coded_aperture_ros.io.messages import choose_camera_info, view_from_camera_info
+from coded_aperture_ros.io.messages import (
+    choose_camera_info,
+    region_matrices,
+    view_from_camera_info,
+)
 from coded_aperture_ros.optics import Camera
+from coded_aperture_ros.optics.distortion import pixel_rays
 
 # Messages that are copied wait for the next frame, but not more of them than this.
 _WAITING_BYTES = 16 * 2**20
@@ -136,12 +142,14 @@ def _place(view: View) -> str:
     return f"{view.width}x{view.height} at {view.left:g}, {view.top:g} of {whole}"
 
 
-def result_topics(outputs: Outputs, deblurs: bool) -> list[Topic]:
+def result_topics(outputs: Outputs, deblurs: bool, points: bool = False) -> list[Topic]:
     """Topics of the results, but for those of layers."""
     kinds = dict.fromkeys((outputs.depth, outputs.confidence, outputs.std_dev), codec.IMAGE)
     kinds[outputs.depth_info] = codec.CAMERA_INFO
     if deblurs:
         kinds |= {outputs.deblurred: codec.IMAGE, outputs.deblurred_info: codec.CAMERA_INFO}
+    if points:
+        kinds[outputs.points] = codec.POINTS
     return [codec.new_topic(name, kind) for name, kind in kinds.items()]
 
 
@@ -161,6 +169,13 @@ def result_messages(
         ):
             yield topic, codec.image_data(values, spec.encoding, header)
         rows, columns = maps.depth_m.shape
+        if maps.colours is not None:
+            k, _ = region_matrices(info, columns, rows)
+            rays = pixel_rays(info.distortion_model, tuple(k), tuple(info.d), rows, columns)
+            points = points_of_depth(
+                maps.depth_m, maps.confidence, maps.std_dev_m, maps.colours, rays
+            )
+            yield outputs.points, codec.cloud_data(points, header)
         yield outputs.depth_info, codec.camera_info_data(info, (rows, columns), header)
         for name, layer in maps.layers.items():
             yield outputs.layers[name], codec.image_data(layer.values, layer.spec.encoding, header)

@@ -28,6 +28,7 @@ class Outputs:
     depth_info: str
     deblurred: str
     deblurred_info: str
+    points: str
     layers: Mapping[str, str]
 
     @classmethod
@@ -41,12 +42,15 @@ class Outputs:
             depth_info=f"{top}/depth/camera_info",
             deblurred=f"{top}/deblurred/image",
             deblurred_info=f"{top}/deblurred/camera_info",
+            points=f"{top}/{DEPTH.points_topic}",
             layers={spec.name: f"{top}/{spec.topic}" for spec in layer_specs()},
         )
 
-    def present(self, layers: Iterable[str]) -> dict[str, str]:
-        """Names by what the topics hold, with those of some layers."""
+    def present(self, layers: Iterable[str], *, points: bool = True) -> dict[str, str]:
+        """Names by what the topics hold, with those of some layers, and perhaps of points."""
         names: dict[str, Any] = dict(vars(self))
+        if not points:
+            del names["points"]
         every: Mapping[str, str] = names.pop("layers")
         return {**names, **{layer: every[layer] for layer in layers}}
 

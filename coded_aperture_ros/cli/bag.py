@@ -39,6 +39,9 @@ _EXAMPLES = """examples:
   compared with the depth that another camera recorded, depth only:
     coded_aperture bag recording -o scored --bank bank.npz --camera camera.yaml \\
         --reference-depth /ground_truth/depth --deblur none
+  points of depth, for RViz, Foxglove and mapping:
+    coded_aperture bag recording -o points --bank bank.npz --camera camera.yaml --points \
+        --deblur none
   something moves during the exposures:
     coded_aperture bag recording -o moving --bank bank.npz --camera camera.yaml --motion
   many bags, shared by the workers of a Dask scheduler; the same line again goes on where it stood:
@@ -113,6 +116,11 @@ class Arguments(EstimationArguments, PixelArguments):
         choices=("full", "half"),
         daily=False,
     )
+    points: bool = argument(
+        "a cloud of coloured points, too: depth/points, with confidence and std_dev, in the "
+        "camera's optical frame",
+        False,
+    )
     output_size: str = argument(
         "of the depth images, in parts of the frame; auto: at most 320x240",
         "full",
@@ -153,6 +161,7 @@ def _convert(args: Arguments, source: Path, target: Path, threads: int = 0) -> d
         gamma=args.gamma,
         bits=args.bits,
         mosaic=args.bayer,
+        points=args.points,
         map_size=args.output_size,
         prior=functools.partial(known_motion, args),
         settings=_settings(args),
@@ -311,8 +320,8 @@ COMMAND = Command(
     description="Work on every frame of a ROS 2 bag (MCAP or SQLite, also one that was cut off), "
     "without ROS. Into the new bag, of the same storage, all messages are copied, and beside the "
     "frames come depth/image, depth/confidence, depth/std_dev, depth/camera_info, deblurred/image "
-    "and deblurred/camera_info, in the camera's namespace and with its stamps. The bag's folder "
-    "also gets report/report.html and report/report.json.",
+    "and deblurred/camera_info, with --points depth/points, in the camera's namespace and with its "
+    "stamps. The bag's folder also gets report/report.html and report/report.json.",
     examples=_EXAMPLES,
     rules=_RULES,
 )

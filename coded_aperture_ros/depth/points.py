@@ -12,6 +12,8 @@ from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.optics import Intrinsics
 
+# Names of the values of a point.
+POINT_FIELDS = ("x", "y", "z", "rgb", "confidence", "std_dev")
 # Every second row and column of a map: obstacles cover neighbouring pixels, so a quarter is enough.
 _SPARSE = 2
 

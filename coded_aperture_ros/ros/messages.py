@@ -14,6 +14,7 @@ from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving import Place
+from coded_aperture_ros.depth.points import POINT_FIELDS
 from coded_aperture_ros.io.messages import (
     array_from_compressed,
     check_pixels,
@@ -72,14 +73,13 @@ def compressed_message(content: tuple[bytes, str], header: Header) -> Compressed
 
 def cloud_from_points(points: FloatArray, header: Header) -> PointCloud2:
     """Organised cloud of points, float32 [rows, columns, 6]; see `points_of_depth`."""
-    names = ("x", "y", "z", "rgb", "confidence", "std_dev")
     cloud = PointCloud2(header=copied_header(header), is_dense=False)
     cloud.height, cloud.width = points.shape[:2]
     cloud.fields = [
         PointField(name=name, offset=4 * index, datatype=PointField.FLOAT32, count=1)
-        for index, name in enumerate(names)
+        for index, name in enumerate(POINT_FIELDS)
     ]
-    cloud.point_step = 4 * len(names)
+    cloud.point_step = 4 * len(POINT_FIELDS)
     cloud.row_step = cloud.width * cloud.point_step
     cloud.is_bigendian = sys.byteorder == "big"
     cloud.data = points.tobytes()

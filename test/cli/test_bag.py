@@ -128,6 +128,32 @@ def test_a_bag_gets_the_second_surface_that_is_asked_for(scene, recorded, tmp_pa
     assert np.array_equal(np.isnan(floats(second)), np.isnan(floats(share)))
 
 
+@pytest.mark.parametrize("size", ["full", "half"])
+def test_a_bag_gets_the_points_that_are_asked_for(scene, recorded, tmp_path, capsys, size):
+    options = ("--points", "--deblur", "none", "--output-size", size)
+    result = call(capsys, *command(scene, recorded(1), tmp_path / "out", *options, "--json"))
+    assert json.loads(result.out)["outputs"]["points"] == "/eye/depth/points"
+    messages = read(tmp_path / "out")
+    ((_, depth),) = decoded(messages, "/eye/depth/image")
+    ((_, confidence),) = decoded(messages, "/eye/depth/confidence")
+    ((_, info),) = decoded(messages, "/eye/depth/camera_info")
+    ((_, cloud),) = decoded(messages, "/eye/depth/points")
+    assert cloud.header == depth.header
+    assert (cloud.height, cloud.width) == (depth.height, depth.width)
+    assert [field.name for field in cloud.fields] == ["x", "y", "z", "rgb", "confidence", "std_dev"]
+    assert cloud.point_step == 24 and cloud.row_step == 24 * cloud.width and not cloud.is_dense
+    points = cloud.data.view(np.float32).reshape(cloud.height, cloud.width, 6)
+    np.testing.assert_array_equal(points[..., 2], floats(depth))
+    np.testing.assert_array_equal(points[..., 4], floats(confidence))
+    # The camera model of the bag has distortion: the points are where it says.
+    seen = points[np.isfinite(points[..., 2])][::97, :3].astype(float)
+    rows, columns = np.nonzero(np.isfinite(points[..., 2]))
+    k = info.k.reshape(3, 3)
+    found, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), k, info.d)
+    expected = np.stack([columns, rows], axis=1)[::97]
+    np.testing.assert_allclose(found[:, 0], expected, atol=0.02)
+
+
 def test_the_camera_model_of_the_bag_is_resized(scene, recorded, tmp_path, capsys):
     bag = recorded(1)
     options = ("--output-size", "half", "--deblur", "none")
@@ -519,7 +545,7 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
     ]
     write_bag(tmp_path / "recording", messages)
     shown = [line for line in examples(capsys, "bag") if "--scheduler" not in line]
-    assert len(shown) == 3
+    assert len(shown) == 4
     for arguments in shown:
         fewer = FEW_MOTIONS if "--motion" in arguments else ()
         result = call(capsys, *arguments, *fewer)
