@@ -1,4 +1,4 @@
-"""Depth for obstacle avoidance: a voxel map of nav2, a laser scan, and optionally RViz.
+"""Depth for obstacle avoidance: a voxel map of nav2, and a laser scan.
 
 It needs nav2_costmap_2d, nav2_lifecycle_manager and depthimage_to_laserscan,
 and a robot that publishes the transforms odom -> base_link -> the camera's optical frame.
@@ -11,12 +11,12 @@ With free_space.risk:=0.01 the map is cleared up to the free-space bound at that
 farther. Give it as a launch argument: the topic that clears the map is chosen by it, and not by
 params_file.
 
-Other arguments are those of pipeline.launch.py. The nodes have the settings of
-config/obstacle_avoidance.yaml; `params_file` wins over them where it names a node.
+Other arguments are those of pipeline.launch.py, which has the camera's topics in the namespace
+`camera_name`; the scan and the map are in `camera_namespace`, which is the robot's. The nodes have
+the settings of config/obstacle_avoidance.yaml; `params_file` wins over them where it names a node.
 """
 
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
-from launch.conditions import IfCondition
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
@@ -27,9 +27,10 @@ from launch import LaunchDescription
 
 SHARE = FindPackageShare("coded_aperture_ros")
 ARGUMENTS = (
-    ("namespace", "", "Namespace of all nodes, their topics, the scan and the map"),
+    ("camera_name", "camera", "Namespace of the camera's nodes, begins its frames; /: none"),
+    ("camera_namespace", "", "Namespace around it, and of the scan and the map"),
     ("params_file", "", "Parameter file that wins over everything else"),
-    ("rviz", "false", "Start RViz"),
+    ("rviz_frame", "base_link", "Fixed frame of RViz"),
 )
 # The node of nav2_costmap_2d is /costmap/costmap whatever its namespace, so that its topics and
 # services have to be remapped one by one.
@@ -59,16 +60,17 @@ COSTMAP_NAMES = (
 def depth_consumers(context):
     """Return the nodes that use the depth."""
     settings = PathJoinSubstitution([SHARE, "config", "obstacle_avoidance.yaml"])
-    rviz_config = PathJoinSubstitution([SHARE, "config", "coded_aperture.rviz"])
     file = LaunchConfiguration("params_file").perform(context)
     files = [file] if file else []  # pipeline.launch.py has checked that it exists
     outer = context.launch_configurations.get("ros_namespace")
-    namespace = LaunchConfiguration("namespace").perform(context)
+    namespace = LaunchConfiguration("camera_namespace").perform(context)
+    camera = LaunchConfiguration("camera_name").perform(context).strip("/")
     root = (make_namespace_absolute(prefix_namespace(outer, namespace)) or "").rstrip("/")
+    depth = f"{root}/{camera}/depth" if camera else f"{root}/depth"
     risk = float(context.launch_configurations.get("free_space.risk") or 0)
     # Relative topics of a layer are resolved in the map's namespace, not in the camera's.
-    marking = {"topic": f"{root}/depth/points"}
-    clearing = {"topic": f"{root}/depth/free_points"} if risk > 0 else marking
+    marking = {"topic": f"{depth}/points"}
+    clearing = {"topic": f"{depth}/free_points"} if risk > 0 else marking
     layer = {"voxel_layer": {"obstacles": marking, "free_space": clearing}}
     return [
         Node(
@@ -76,7 +78,7 @@ def depth_consumers(context):
             executable="depthimage_to_laserscan_node",
             namespace=namespace,
             parameters=[settings, *files],
-            remappings=[("depth", "depth/image"), ("depth_camera_info", "depth/camera_info")],
+            remappings=[("depth", f"{depth}/image"), ("depth_camera_info", f"{depth}/camera_info")],
         ),
         Node(
             package="nav2_costmap_2d",
@@ -93,13 +95,6 @@ def depth_consumers(context):
             name="lifecycle_manager_costmap",
             namespace=namespace,
             parameters=[settings, *files],
-        ),
-        Node(
-            package="rviz2",
-            executable="rviz2",
-            namespace=namespace,
-            arguments=["-d", rviz_config],
-            condition=IfCondition(LaunchConfiguration("rviz")),
         ),
     ]
 

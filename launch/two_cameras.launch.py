@@ -1,4 +1,4 @@
-"""Two coded-aperture cameras on one robot, each in a namespace and a process of its own.
+"""Two coded-aperture cameras on one robot, each with a name and a process of its own.
 
 Example::
 
@@ -6,8 +6,9 @@ Example::
         front:=front.yaml front_source:=/dev/video0 rear:=rear.yaml rear_source:=/dev/video2 \
         near_m:=0.8 far_m:=3.0
 
-Images of the front camera are in the frame front_optical_frame, those of the rear camera in
-rear_optical_frame. In `params_file`, /front/depth_node and /rear/depth_node tell them apart.
+Topics of the front camera are in the namespace front, as in /front/depth/image, and its images in
+the frame front_optical_frame; those of the rear camera in rear and rear_optical_frame. In
+`params_file`, /front/depth_node and /rear/depth_node tell them apart.
 """
 
 from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
@@ -21,7 +22,9 @@ CAMERAS = ("front", "rear")
 SHARED = (
     ("near_m", None, "Nearest depth in metres"),
     ("far_m", None, "Farthest depth in metres"),
+    ("camera_namespace", "", "Namespace around both cameras, such as the robot's"),
     ("params_file", "", "Parameter file that wins over everything else"),
+    ("rviz", "false", "Start RViz, once for each camera"),
 )
 
 
@@ -55,7 +58,7 @@ def generate_launch_description():
                         IncludeLaunchDescription(
                             PythonLaunchDescriptionSource(pipeline),
                             launch_arguments={
-                                "namespace": camera,
+                                "camera_name": camera,
                                 "camera_file": LaunchConfiguration(camera),
                                 "source": LaunchConfiguration(f"{camera}_source"),
                                 "frame_id": LaunchConfiguration(f"{camera}_frame_id"),
