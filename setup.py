@@ -52,6 +52,7 @@ setup(
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
         (f"share/{NAME}/config/cameras", sorted(glob("config/cameras/*.yaml"))),
         (f"share/{NAME}/launch", sorted(glob("launch/*.py"))),
+        (f"share/{NAME}/urdf", sorted(glob("urdf/*.xacro"))),
     ],
     zip_safe=False,
     # The lower bounds are what Ubuntu 24.04 (ROS 2 Jazzy) installs with apt; `make test-oldest`
@@ -128,6 +129,8 @@ setup(
             "pre-commit>=3.5",
             "types-PyYAML",
             "distributed>=2024.1",
+            # The camera's model, as robots read it.
+            "xacro>=2.0",
             "colcon-core>=0.17",
             "colcon-ros>=0.5",
             "mcap>=1.2",

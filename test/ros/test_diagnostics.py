@@ -61,7 +61,9 @@ def test_the_plot_of_foxglove_finds_its_figures(ros, chain, coded, checkout):
     chain.result(mono8(coded))
     form = re.compile(r'/diagnostics\.status\[:\]{name=="(.+)"}\.values\[:\]{key=="(.+)"}\.value')
     for path in plot["paths"]:
-        name, key = form.fullmatch(path["value"]).groups()
+        full_name, key = form.fullmatch(path["value"]).groups()
+        name = full_name.removeprefix("camera/")  # the namespace of the launch files
+        assert name != full_name
         assert wait_until(lambda: reports.status.name == name)  # noqa: B023
         assert wait_until(lambda: key in reports.values)  # noqa: B023
         assert float(reports.values[key]) >= 0

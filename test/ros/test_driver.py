@@ -1,20 +1,18 @@
 """camera_driver_node over real DDS, from every kind of source."""
 
-import sys
 import threading
 import time
 from itertools import pairwise
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from geometry_msgs.msg import TransformStamped
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
+from tf2_stand_in import stand_in
 from waiting import scaled, wait_until
 
 from coded_aperture_ros.core.errors import InputError
@@ -333,32 +331,10 @@ def test_a_transform_is_no_condition(ros, camera_file, folder):
     assert wait_until(lambda: images)
 
 
-def transform_message():
-    """Return the message of transforms; without tf2_msgs, a message that has just one of them."""
-    try:
-        from tf2_msgs.msg import TFMessage
-    except ImportError:
-        type(TransformStamped).__import_type_support__()
-
-        class OfOne(type(TransformStamped)):
-            def __call__(cls, transforms):
-                return transforms[0]
-
-            def __instancecheck__(cls, message):
-                return isinstance(message, TransformStamped)
-
-        class TFMessage(TransformStamped, metaclass=OfOne):
-            pass
-
-    return TFMessage
-
-
 def test_no_cycle_leaves_a_publisher_of_the_transform_behind(ros, camera_file, folder, monkeypatch):
-    module = SimpleNamespace(TFMessage=transform_message())
-    monkeypatch.setitem(sys.modules, "tf2_msgs.msg", module)
-    monkeypatch.setitem(sys.modules, "tf2_msgs", SimpleNamespace(msg=module))
+    message_type = stand_in(monkeypatch)
     latched = QoSProfile(depth=9, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    received = ros.subscribe("/tf_static", module.TFMessage, latched)
+    received = ros.subscribe("/tf_static", message_type, latched)
 
     def publishers():
         return len(ros.probe.get_publishers_info_by_topic("/tf_static"))

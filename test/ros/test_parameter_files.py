@@ -115,7 +115,8 @@ def test_the_layout_of_foxglove_shows_published_topics(checkout):
     assert kinds == {"Image", "3D", "Plot", "DiagnosticSummary"}
     shown = {"image_raw", "depth/image", "depth/confidence", "deblurred/image", "depth/points"}
     driver = {"image_raw", "camera_info"}
-    relative = {topic.removeprefix("/") for topic in topics}
+    relative = {topic.removeprefix("/camera/").removeprefix("/") for topic in topics}
+    assert {topic for topic in topics if not topic.startswith("/camera/")} == {"/diagnostics"}
     assert shown <= relative
     assert relative - driver - {"diagnostics"} <= {*output_types(), *OUTPUT_TYPES}
     # Every panel has its place, and no place is empty.

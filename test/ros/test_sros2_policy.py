@@ -13,14 +13,16 @@ from coded_aperture_ros.ros.deblur_node import DeblurNode
 from coded_aperture_ros.ros.depth_node import DepthNode
 
 NODES = {"camera_driver_node": CameraDriverNode, "depth_node": DepthNode, "deblur_node": DeblurNode}
+# Of the launch files, by default.
+NAMESPACE = "/camera"
 # What a node may do, but does not with the parameters of this test.
 OTHER_SETTINGS = {
     "/clock",
-    "/image_raw/compressed",
-    "/imu",
+    f"{NAMESPACE}/image_raw/compressed",
+    f"{NAMESPACE}/imu",
     "/parameter_events",
     "/tf_static",
-    "/odometry",
+    f"{NAMESPACE}/odometry",
     "/tf",
 }
 
@@ -33,12 +35,13 @@ def allowed(checkout):
     assert enclave.get("path") == "/coded_aperture"
 
     def names(profile, group, kind):
+        assert profile.get("ns") == NAMESPACE
         node = profile.get("node")
         for part in profile.iter(group):
             if part.get(kind) == "ALLOW":
                 for name in part:
-                    text = name.text.replace("~", f"/{node}", 1)
-                    yield text if text.startswith("/") else f"/{text}"
+                    text = name.text.replace("~", node, 1)
+                    yield text if text.startswith("/") else f"{NAMESPACE}/{text}"
 
     return {
         profile.get("node"): (
@@ -62,7 +65,8 @@ def done(tmp_path_factory):
     ros = Ros()
     graph = {}
     for name, node_type in NODES.items():
-        ros.make(node_type, driver if node_type is CameraDriverNode else worker)
+        parameters = driver if node_type is CameraDriverNode else worker
+        ros.make(node_type, parameters, namespace=NAMESPACE)
         queries = (
             ros.probe.get_publisher_names_and_types_by_node,
             ros.probe.get_subscriber_names_and_types_by_node,
@@ -70,7 +74,7 @@ def done(tmp_path_factory):
         )
 
         def found(name=name, queries=queries):
-            return tuple({entry for entry, _ in query(name, "/")} for query in queries)
+            return tuple({entry for entry, _ in query(name, NAMESPACE)} for query in queries)
 
         # The graph of a busy machine comes to be known late.
         assert wait_until(lambda found=found: all(found()), timeout_s=60)

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.skipif(
 PACKAGE = "coded_aperture_ros"
 PROGRAMS = {"camera_driver_node", "depth_node", "deblur_node", "pipeline", "coded_aperture"}
 SOURCES = (
-    "coded_aperture_ros", "config", "launch", "resource",
+    "coded_aperture_ros", "config", "launch", "resource", "urdf",
     "LICENSE", "README.md", "package.xml", "pyproject.toml", "setup.cfg", "setup.py",
 )  # fmt: skip
 
@@ -91,7 +91,8 @@ def test_shared_files_are_installed(installation, checkout):
     share = installation / "share"
     assert (share / "ament_index/resource_index/packages" / PACKAGE).is_file()
     assert (share / PACKAGE / "package.xml").is_file()
-    for folder, pattern in (("config", "*.yaml"), ("config", "*.xml"), ("launch", "*.py")):
+    patterns = {"config": ("*.yaml", "*.xml"), "launch": ("*.py",), "urdf": ("*.xacro",)}
+    for folder, pattern in ((name, each) for name in patterns for each in patterns[name]):
         expected = {path.name for path in (checkout / folder).glob(pattern)}
         assert {path.name for path in (share / PACKAGE / folder).glob(pattern)} == expected
         assert expected
