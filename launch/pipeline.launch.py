@@ -52,9 +52,13 @@ PARAMETERS = (
 )
 # The frame that the driver names by default is that of this name.
 CAMERA_NAME = "camera"
+# Launch arguments for topics of the robot, which lie outside the camera's namespace: our names.
+OF_ROBOT = {"odom_topic": "odometry", "imu_topic": "imu"}
 ARGUMENTS = (
     ("camera_name", CAMERA_NAME, "Namespace of the camera's nodes, begins its frames; /: none"),
     ("camera_namespace", "", "Namespace around it, such as the robot's"),
+    ("odom_topic", "odometry", "Topic of the robot's odometry, for temporal.moving_camera:=pose"),
+    ("imu_topic", "imu", "Topic of the robot's gyroscope, for method: motion"),
     ("composed", "false", "All nodes in one process"),
     ("settings_file", "", "Parameter file of a launch file that includes this one"),
     ("params_file", "", "Parameter file that wins over everything else"),
@@ -78,6 +82,11 @@ def given_parameters(value):
     if camera_name not in ("", CAMERA_NAME):
         given.setdefault("frame_id", f"{camera_name}_optical_frame")
     return given
+
+
+def remappings(value):
+    """Pairs of our name and the robot's name of a topic."""
+    return [(ours, value(name)) for name, ours in OF_ROBOT.items() if value(name) != ours]
 
 
 def checked_files(value):
@@ -138,6 +147,7 @@ def nodes(context):
                 namespace=namespace,
                 # The last one wins, so that files come after the arguments.
                 parameters=[*([parameters] if parameters else []), *files],
+                remappings=remappings(value),
                 ros_arguments=[] if log_level == "info" else ["--log-level", log_level],
                 output="screen",
             )

@@ -448,6 +448,19 @@ def test_an_argument_that_is_a_nodes_default_sets_nothing(launched):
     assert not [word for words in given.values() for word in words if "params" in word]
 
 
+@pytest.mark.parametrize("composed", ["false", "true"])
+def test_odometry_of_the_robot_can_be_named(launched, composed):
+    topics = ["odometry", "imu", "image_raw"]
+    own = [f"/camera/{topic}" for topic in topics]
+    given = launched("pipeline", f"composed:={composed}")
+    name = "pipeline" if composed == "true" else "depth_node"
+    assert names_under(given[name], "any", topics=topics) == own
+    robots = ["odom_topic:=/odom", "imu_topic:=/imu/data"]
+    given = launched("pipeline", *robots, f"composed:={composed}")
+    arguments = [given[each] for each in given if each.startswith(name)][-1]
+    assert names_under(arguments, "any", topics=topics) == ["/odom", "/imu/data", own[2]]
+
+
 def test_time_and_log_level_can_be_set(launched):
     given = launched("pipeline", "use_sim_time:=true", "log_level:=warn")
     arguments = given["depth_node"]
