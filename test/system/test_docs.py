@@ -76,7 +76,7 @@ def help_texts(capsys, commands=COMMANDS, before=()):
 
 def test_the_options_in_the_documents_exist(documents, checkout, capsys):
     """Options named in running text are some command's; bench's are in the benchmarks."""
-    of_others = {"--params-file", "--ros-args", "--clock", "--src", "--dst"}
+    of_others = {"--params-file", "--ros-args", "--show-args", "--clock", "--src", "--dst"}
     shown = call(capsys, "--help").out + help_texts(capsys)
     known = set(re.findall(r"--[a-z][a-z-]*[a-z]", shown)) | of_others
     benchmarks = "".join(path.read_text() for path in (checkout / "benchmarks").rglob("*.py"))
