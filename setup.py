@@ -41,6 +41,7 @@ setup(
     package_data={
         NAME: ["py.typed"],
         f"{NAME}.cli": ["demo_page.html"],
+        f"{NAME}.core": ["page.css"],
         f"{NAME}.deblur.blend": ["*.npz"],
         f"{NAME}.depth.quality": ["*.npz"],
         f"{NAME}.depth.decoders.network": ["*.npz"],

@@ -14,7 +14,7 @@ import numpy as np
 
 from coded_aperture_ros.bags.conversion import REPORT
 from coded_aperture_ros.bags.engine import WorkerLostError, in_order
-from coded_aperture_ros.bags.page import JSON, PAGE, html_page
+from coded_aperture_ros.bags.page import JSON, PAGE, html_page, wide_table
 from coded_aperture_ros.bags.writing import describe_write_errors
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_outputs
@@ -160,4 +160,4 @@ def _page(results: Mapping[str, Any]) -> str:
         rows.append("<td>".join(["<tr>", link, str(row["frames"]), str(row["used"]), *texts]))
     for source, reason in results["failed"].items():
         rows.append(f"<tr><td>{html.escape(source)}<td colspan=5>{html.escape(reason)}")
-    return html_page(f"Depth of {len(results['bags'])} bags", ["<table>", *rows, "</table>"])
+    return html_page(f"Depth of {len(results['bags'])} bags", [wide_table(rows, "Bags")])

@@ -15,6 +15,7 @@ from coded_aperture_ros.bags.figures import (
     series_plot,
 )
 from coded_aperture_ros.bags.frame_log import FrameLog
+from coded_aperture_ros.core.page_style import page_style
 from coded_aperture_ros.core.text import listed
 from coded_aperture_ros.depth.quality import CAUSE_TEXTS, no_depth_reason
 from coded_aperture_ros.metrics.reliability import Reliability
@@ -23,15 +24,11 @@ PAGE = "report.html"
 JSON = "report.json"
 # Topics whose names are written out.
 _MOST_LISTED = 100
+_VIEWPORT = '<meta name="viewport" content="width=device-width, initial-scale=1">'
+# The page's own rules, beside those that all pages share.
 _STYLE = """
-body { font: 15px/1.4 sans-serif; margin: 2em auto; max-width: 1020px; padding: 0 1em }
-table { border-collapse: collapse; margin: 1em 0 }
-td, th { border-bottom: 1px solid #ddd; padding: .2em 1em .2em 0; text-align: left }
-td.number { text-align: right }
-figure { display: inline-block; margin: 0 .5em .5em 0; vertical-align: top }
-figcaption { color: #555; font-size: 13px }
-img { display: block; max-width: 100% }
-.warning { background: #fff3cd; padding: .5em 1em }
+body { max-width: 64rem; }
+figure { display: inline-block; margin: 0 .5em .5em 0; vertical-align: top; }
 """
 
 
@@ -52,7 +49,8 @@ def _page(results: Mapping[str, Any], record: FrameLog) -> str:
         parts.append(
             "<h2>Does the confidence keep its word?</h2><p>Of the pixels with depth and reference: "
             "how often depth of a given confidence is right. On the dashed line a confidence is "
-            f"the probability that it promises to be.</p>{_image(reliability_plot(reliability))}"
+            f"the probability that it promises to be.</p>"
+            f"{_image(reliability_plot(reliability), 'reliability of the confidence')}"
         )
     parts.append("<h2>Some frames</h2>")
     samples = list(record.samples.values())
@@ -71,11 +69,19 @@ def html_page(title: str, parts: Iterable[str]) -> str:
     """HTML page with a title and pieces of HTML below it; what is no Unicode in names is `?`."""
     title = html.escape(title)
     body = "\n".join([f"<h1>{title}</h1>", *parts])
+    style = page_style() + _STYLE
     page = (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head><body>\n{body}\n</body></html>\n"
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">{_VIEWPORT}'
+        f"<title>{title}</title><style>{style}</style></head>"
+        f"<body>\n<main>{body}</main>\n</body></html>\n"
     )
     return page.encode(errors="replace").decode()
+
+
+def wide_table(rows: Iterable[str], label: str = "Figures") -> str:
+    """HTML table that scrolls by itself where the page is narrow, by keyboard, too."""
+    region = f'class="wide" role="region" tabindex="0" aria-label="{html.escape(label)}"'
+    return f"<div {region}><table>{''.join(rows)}</table></div>"
 
 
 def _warnings(results: Mapping[str, Any]) -> Iterable[str]:
@@ -160,7 +166,7 @@ def _table(facts: Mapping[str, str]) -> str:
         f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>"
         for name, text in facts.items()
     )
-    return f"<table>{''.join(rows)}</table>"
+    return wide_table(rows)
 
 
 def _image(data: bytes, alt: str = "") -> str:

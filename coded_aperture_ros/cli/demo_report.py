@@ -1,11 +1,9 @@
 """What the demo says and leaves behind."""
 
-import base64
 import dataclasses
 import json
 import math
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.score import resize_reference
+from coded_aperture_ros.cli.demo_page import Picture, demo_page
 from coded_aperture_ros.core.files import atomic_output
 from coded_aperture_ros.core.text import rounded
 from coded_aperture_ros.frames import SRGB, pixels_from_linear
@@ -26,8 +25,8 @@ if TYPE_CHECKING:
 _LATENCIES = ("latency_median_s", "latency_p99_s", "latency_max_s")
 PICTURES = ("coded.png", "depth.png", "all_in_focus.png", "comparison.png")
 RESULTS = (*PICTURES, "summary.json", "index.html")
-# Where the scale of relative depth errors ends.
-_LARGEST_ERROR = 0.1
+# Where the scale of relative depth errors ends: three times what counts as right.
+_LARGEST_ERROR = 0.3
 
 
 def summarise(monitor: "DemoMonitor", seconds: float) -> dict[str, Any]:
@@ -83,44 +82,50 @@ def write_results(output: Path, snapshot: dict[str, NDArray], summary: dict[str,
     write_image(output / "coded.png", snapshot[CODED], bits=8, gamma=SRGB)
     write_image(output / "all_in_focus.png", snapshot[DEBLURRED], bits=8, gamma=SRGB)
     write_image(output / "depth.png", depth_picture(snapshot[DEPTH]))
-    write_image(output / "comparison.png", _comparison(snapshot))
+    shown = _pictures(snapshot)
+    titled = [(picture.title, picture.pixels) for picture in shown]
+    write_image(output / "comparison.png", panels([titled[:3], titled[3:]]))
     with atomic_output(output / "summary.json") as path:
         path.write_text(json.dumps(summary, indent=2) + "\n")
-    page = files("coded_aperture_ros.cli").joinpath("demo_page.html").read_text("utf-8")
-    picture = base64.b64encode((output / "comparison.png").read_bytes()).decode()
-    page = page.replace("/*SUMMARY*/ null", json.dumps(summary)).replace("PICTURE", picture)
     with atomic_output(output / "index.html") as path:
-        path.write_text(page, "utf-8")
+        path.write_text(demo_page(shown, summary), "utf-8")
 
 
-def _comparison(snapshot: dict[str, NDArray]) -> NDArray:
-    """Return what was found beside what is there, in one picture."""
+def _pictures(snapshot: dict[str, NDArray]) -> list[Picture]:
+    """What was found, and below it what is there."""
     from coded_aperture_ros.ros import demo_monitor as topics
 
     found = resize_reference(snapshot[topics.DEPTH], snapshot[topics.TRUE_DEPTH].shape)
     truth = snapshot[topics.TRUE_DEPTH]
     known = truth[np.isfinite(truth)]
-    near_m, far_m = map(float, (known.min(), known.max())) if known.size else (1.0, 2.0)
+    range_m = (float(known.min()), float(known.max())) if known.size else (1.0, 2.0)
     error = np.abs(found - truth) / truth
+    errors = 0.0, 100 * _LARGEST_ERROR
 
-    def light(topic: str) -> NDArray:
+    def light(topic: str) -> NDArray[np.uint8]:
         picture = pixels_from_linear(snapshot[topic], 8, SRGB)
         return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
 
-    return panels(
-        [
-            [
-                ("coded frame", light(topics.CODED)),
-                ("depth", depth_picture(found, near_m, far_m)),
-                ("all in focus", light(topics.DEBLURRED)),
-            ],
-            [
-                ("relative error of depth; hatched: unknown", error_picture(error, _LARGEST_ERROR)),
-                ("true depth", depth_picture(truth, near_m, far_m)),
-                ("sharp scene", light(topics.TRUE_IMAGE)),
-            ],
-        ]
-    )
+    return [
+        Picture("Coded frame", "What the camera with the mask sees.", light(topics.CODED)),
+        Picture(
+            "Depth",
+            "Found in this one frame. Hatched: unknown.",
+            depth_picture(found, *range_m),
+            range_m,
+        ),
+        Picture("All in focus", "Made of the frame and its depth.", light(topics.DEBLURRED)),
+        Picture(
+            "Relative error of depth",
+            f"Against the true depth; {errors[1]:.0f} % or more is dark red. Hatched: unknown.",
+            error_picture(error, _LARGEST_ERROR),
+            errors,
+            unit="%",
+            near_is_red=False,
+        ),
+        Picture("True depth", "Of the scene's model.", depth_picture(truth, *range_m), range_m),
+        Picture("Sharp scene", "Without lens, mask and noise.", light(topics.TRUE_IMAGE)),
+    ]
 
 
 def table(summary: dict[str, Any]) -> list[str]:

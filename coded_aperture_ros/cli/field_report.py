@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.bags.figures import encode_png
-from coded_aperture_ros.bags.page import html_page
+from coded_aperture_ros.bags.page import html_page, wide_table
 
 _THIRDS = ("inner", "middle", "outer")
 # An error of depth that is as dark as a cell gets, and a share of pixels that is enough.
@@ -35,7 +35,7 @@ def field_page(found: Any, lines: str, pictures: dict[str, Any], misplaced: Iter
         f"<tr><td>{html.escape(Path(name).name)}</td><td>{depth_m:.4g}&nbsp;m</td>{_cells(thirds)}</tr>"
         for name, depth_m, thirds in zip(found.names, found.depths_m, found.by_thirds, strict=True)
     ]
-    parts.append(f"<table><tr><th>plane</th><th>at</th>{head}</tr>{''.join(rows)}</table>")
+    parts.append(wide_table([f"<tr><th>plane</th><th>at</th>{head}</tr>", *rows], "Planes"))
     if pictures:
         parts.append("<h2>PSFs of the parts of the image</h2>")
     for what, picture in pictures.items():
@@ -53,10 +53,10 @@ def _cells(thirds: Any) -> str:
         if math.isnan(error):
             cells.append('<td colspan="2">nothing to see</td>')
         else:
-            depth = 255 - round(110 * min(1, error / _DARKEST))
-            colour = f"rgb(255,{depth},{depth})"
+            redness = round(100 * min(1, error / _DARKEST))
+            colour = f"color-mix(in srgb, var(--bad) {redness}%, transparent)"
             cells.append(f'<td class="number">{measured:.1f} / {predicted:.1f}</td>')
             cells.append(f'<td class="number" style="background:{colour}">{error:.1%}</td>')
-        weak = ' style="background:#fff3cd"' if share < _ENOUGH else ""
-        cells.append(f'<td class="number"{weak}>{share:.0%}</td>')
+        weak = " weak" if share < _ENOUGH else ""
+        cells.append(f'<td class="number{weak}">{share:.0%}</td>')
     return "".join(cells)

@@ -7,6 +7,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from coded_aperture_ros.core.page_style import with_style
 from coded_aperture_ros.design.openings import mask_openings
 from coded_aperture_ros.design.setting import DesignConfig, Setting
 from coded_aperture_ros.optics import Camera
@@ -53,7 +54,8 @@ def write_page(
     template = files("coded_aperture_ros.design").joinpath("page.html").read_text(encoding="utf-8")
     # The name of a mask file may have anything in it; "</script>" would end the script.
     script = json.dumps(finite(values), allow_nan=False).replace("<", "\\u003c")
-    Path(path).write_text(template.replace(_PLACEHOLDER, script), encoding="utf-8")
+    page = with_style(template).replace(_PLACEHOLDER, script)
+    Path(path).write_text(page, encoding="utf-8")
 
 
 def finite(value: Any) -> Any:

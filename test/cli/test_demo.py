@@ -100,9 +100,13 @@ def test_a_short_demo(tmp_path):
         *("index.html", "summary.json"),
     ]
     page = (tmp_path / "out" / "index.html").read_text("utf-8")
-    assert "PICTURE" not in page and "://" not in page and json.dumps(summary) in page
-    picture = re.search(r"data:image/png;base64,([\w+/=]+)", page)[1]
-    assert base64.b64decode(picture) == (tmp_path / "out" / "comparison.png").read_bytes()
+    assert "<!--" not in page and "://" not in page and json.dumps(summary) in page
+    pictures = [base64.b64decode(one) for one in re.findall(r"image/png;base64,([\w+/=]+)", page)]
+    assert len(pictures) == 6
+    shown = [cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR) for one in pictures]
+    assert {one.shape for one in shown} == {(480, 640, 3)}
+    assert np.array_equal(shown[0], cv2.imread(str(tmp_path / "out" / "coded.png")))
+    assert page.count('class="bar"') == 3 and "<span>30 %</span>" in page
     # Without a terminal a line now and then, no redrawing.
     assert "\x1b" not in err and "depth" in err
 
