@@ -17,7 +17,7 @@
   if (!document.querySelector("main")) found.push("no main");
   if (document.querySelectorAll("h1").length !== 1) found.push("not one h1");
   for (const element of all) {
-    if (element.matches(interactive) && !nameOf(element)) say("no name", element);
+    if (element.matches(interactive) && !element.closest("[aria-hidden=true]") && !nameOf(element)) say("no name", element);
     if (element.matches("img") && !element.hasAttribute("alt")) say("no alternative text", element);
     if (element.tabIndex > 0) say("order of focus changed", element);
     if (element.id && document.querySelectorAll(`[id="${CSS.escape(element.id)}"]`).length > 1) say("id twice", element);

@@ -207,7 +207,7 @@ def test_every_other_file_is_installed(checkout):
         Path("depth/quality/fit.npz"),
         Path("deblur/blend/blend.npz"),
     }
-    pages = {Path("design/page.html"), Path("cli/demo_page.html")}
+    pages = {Path("design/page.html"), Path("cli/demo_page.html"), Path("core/page.css")}
     typed = Path("py.typed")
     assert others == {*pages, *weights, typed}
     setup = (checkout / "setup.py").read_text()

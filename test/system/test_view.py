@@ -363,7 +363,7 @@ def test_a_browser_shows_and_changes_what_is_seen(viewer, tmp_path):
         numbers = await page.value("document.querySelector('#numbers').textContent")
         assert "of full" in numbers and "Wall" in numbers
 
-        await page.value("choose('points')")
+        await page.value("enlarge('points')")
         await page.wait("document.querySelector('#points').width === 320")
         await page.wait("viewer.settings['look.picture'] === 'sharp'")
         before = await page.value("document.querySelector('#points').toDataURL()")

@@ -11,6 +11,7 @@ from coded_aperture_viewer.inactive import inactive_settings
 from coded_aperture_viewer.settings import LookConfig, RunConfig, Settings
 from live_page import CHROMIUM, page_at
 from live_viewer import BlockedSource, serving, viewer_options
+from page_checks import beyond_the_window, set_display
 from small_camera import FAR_M, NEAR_M, coded_wall, write_model
 
 from coded_aperture_ros.deblur import DeblurConfig
@@ -20,8 +21,8 @@ from coded_aperture_ros.optics import load_camera
 from coded_aperture_ros.pipeline import FramePipeline
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
-PHONE = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
-IS_NARROW = "document.documentElement.scrollWidth <= 390"
+PHONE = 390, 844
+DESKTOP = 1440, 900
 HEADLINE = "document.querySelector('#cursor b').textContent"
 
 
@@ -58,14 +59,15 @@ async def middle_of(page, selector):
 @needs_browser
 def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
     async def use(page):
-        await page.ask("Emulation.setDeviceMetricsOverride", **PHONE)
+        await set_display(page, *PHONE)
         await page.ask("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
         await page.wait("window.viewer && viewer.shown > 1")
         await page.wait("document.querySelector('#picture').width === 128")
-        assert await page.value(IS_NARROW)
+        assert await beyond_the_window(page) == []
         await page.value("set('depth.confidence_threshold', 0)")
         await page.wait("viewer.frame.settings['depth.confidence_threshold'] === 0")
         for name in ("frame", "depth", "confidence", "picture"):
+            await page.value(f"enlarge('{name}')")
             x, y = await middle_of(page, f"#{name}")
             await touch(page, "touchStart", (x, y))
             await touch(page, "touchEnd")
@@ -76,9 +78,9 @@ def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
             )
             assert 0 <= reading[0] < reading[1] < reading[2] / 3
         await page.wait("viewer.frame.settings['look.picture'] === 'refocused'")
-        for change in ("choose('points')", "document.querySelector('#aid').open = true"):
+        for change in ("enlarge('points')", "document.querySelector('#aid').open = true"):
             await page.value(change)
-            assert await page.value(IS_NARROW)
+            assert await beyond_the_window(page) == []
         await page.wait("viewer.cloud && viewer.middle")
         x, y = await middle_of(page, "#points")
         closer = await page.value("viewer.closer")
@@ -86,6 +88,11 @@ def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
         await touch(page, "touchMove", (x - 60, y), (x + 60, y))
         await touch(page, "touchEnd")
         assert await page.value("viewer.closer") > 1.5 * closer
+        await page.value("resetView()")
+        await touch(page, "touchStart", (x - 20, y), (x + 20, y))
+        await touch(page, "touchMove", (x + 20, y + 40), (x + 60, y + 40))
+        await touch(page, "touchEnd")
+        assert min(await page.value("viewer.pan")) > 0.05
 
     on_page(use, tmp_path, viewer_options(tmp_path))
 
@@ -95,23 +102,25 @@ def test_on_a_phone_nothing_is_cut_off_and_the_reading_stays_in_sight(tmp_path):
 def test_points_stay_in_the_picture_wherever_they_are_turned(tmp_path):
     async def use(page):
         await page.wait("window.viewer && viewer.shown > 1")
-        await page.value("choose('points')")
+        await page.value("enlarge('points')")
         await page.wait("viewer.cloud && viewer.cloud.isSharp")
         # Points of one frame from here on, in the colours of its all-in-focus picture.
         await page.value("set('run.paused', true)")
         await page.wait("viewer.frame.settings['run.paused'] && viewer.frame.parts.picture")
         await asyncio.sleep(0.3)
-        first = await page.value("[viewer.yaw, viewer.pitch, viewer.closer]")
-        for right, down in ((0, 0), (99, 0), (-99, 0), (0, 99), (0, -99), (99, 99), (-99, -99)):
+        view = "[viewer.yaw, viewer.pitch, viewer.closer, ...viewer.pan]"
+        first = await page.value(view)
+        for right, down in ((0, 0), (1.5, 0), (3, 0), (5, 0), (0, 99), (0, -99), (2, 99), (4, -99)):
             await page.value(f"resetView(); turn({right}, {down})")
             assert await page.value("viewer.inside / viewer.cloud.places.length") > 0.9
+        await page.value("move(0.2, 0.1)")
         await page.value("zoom(1e-9)")
         assert await page.value("viewer.inside / viewer.cloud.places.length") > 0.9
         await page.value("document.querySelector('#reset').click()")
-        assert await page.value("[viewer.yaw, viewer.pitch, viewer.closer]") == first
+        assert await page.value(view) == first
         # The turning centre is in the middle of the picture, whatever the direction.
         await page.value("turn(0.4, 0.2)")
-        x, y, *_ = await page.value("projection(viewer.cloud.size)(...viewer.middle.centre)")
+        x, y, *_ = await page.value("viewOf(viewer.cloud.size).project(...viewer.middle.centre)")
         assert (x, y) == (64, 48)
 
     on_page(use, tmp_path, viewer_options(tmp_path))
@@ -126,7 +135,7 @@ def test_clicks_before_the_first_frame_are_answered(tmp_path):
             await page.value("say('', '')")
             await page.value(f"document.querySelector('{selector}').click()")
             assert "no frame has come yet" in await page.value(message)
-        await page.value("choose('points')")
+        await page.value("enlarge('points')")
 
     on_page(use, tmp_path, viewer_options(tmp_path), BlockedSource())
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.optics import Camera
 from coded_aperture_viewer.live import Shown
+from coded_aperture_viewer.picture_recording import PictureRecording
 from coded_aperture_viewer.recording import Recording, new_path, write_snapshot
 from coded_aperture_viewer.settings import LookConfig
 
@@ -31,7 +32,7 @@ class Keeping:
         self._mosaic = mosaic
         self._lock = threading.Lock()
         self._complete: Shown | None = None
-        self._recording: Recording | None = None
+        self._recording: Recording | PictureRecording | None = None
         self._is_ended = False
 
     @property
@@ -50,7 +51,7 @@ class Keeping:
             if self._recording is None or shown.capture is None or shown.settings.run.paused:
                 return
             try:
-                self._recording.add(shown.capture, self._mosaic)
+                self._recording.add(shown.capture)
             except (InputError, OSError) as error:
                 logging.error("recording stopped: %s", error)
                 with suppress(InputError, OSError):  # the bag cannot be finished either
@@ -65,8 +66,14 @@ class Keeping:
         picture = shown.pictures.get(look.made_from)
         return str(write_snapshot(self._output, shown, picture, self._camera))
 
-    def toggle_recording(self) -> str:
-        """Start or end the recording; return a line for the page."""
+    def toggle_recording(self, form: str = "bag") -> str:
+        """Start a recording, a bag or a folder of PNG (`png`), or end the one that runs.
+
+        Returns
+        -------
+        str
+            A line for the page.
+        """
         with self._lock:
             if self._recording is not None:
                 return self._end_recording()
@@ -75,7 +82,11 @@ class Keeping:
             if self._is_ended:
                 raise InputError("the viewer ends: nothing is recorded")
             self._output.mkdir(parents=True, exist_ok=True)
-            self._recording = Recording(new_path(self._output, "recording"), self._camera)
+            path = new_path(self._output, "recording")
+            if form == "png":
+                self._recording = PictureRecording(path)
+            else:
+                self._recording = Recording(path, self._camera, self._mosaic)
             return f"recording to {self._recording.path}"
 
     def end(self) -> None:

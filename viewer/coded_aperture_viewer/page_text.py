@@ -6,7 +6,11 @@ import re
 from functools import cache
 from pathlib import Path
 
+from coded_aperture_ros.core.page_style import page_style
+
 _FOLDER = Path(__file__).with_name("page")
+# In place of the style that all pages of the project share.
+_SHARED = '<link rel="stylesheet" href="shared">'
 _STYLE = re.compile(r'<link rel="stylesheet" href="(\w+\.css)">')
 _SCRIPT = re.compile(r'<script src="(\w+\.js)"></script>')
 
@@ -15,6 +19,7 @@ _SCRIPT = re.compile(r'<script src="(\w+\.js)"></script>')
 def page_text() -> str:
     """Return the page, which needs no other file."""
     text = (_FOLDER / "page.html").read_text("utf-8")
+    text = text.replace(_SHARED, f"<style>\n{page_style()}</style>")
     text = _STYLE.sub(lambda found: f"<style>\n{_read(found[1])}</style>", text)
     return _SCRIPT.sub(lambda found: f"<script>\n{_read(found[1])}</script>", text)
 

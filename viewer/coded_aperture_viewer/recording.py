@@ -37,6 +37,11 @@ def new_path(output: Path, kind: str) -> Path:
     return path
 
 
+def capture_time_ns(capture: Capture) -> int:
+    """Stamp of a frame, ns, or else the time of this computer."""
+    return time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
+
+
 def write_snapshot(output: Path, shown: Shown, picture: FloatArray | None, camera: Camera) -> Path:
     """Write a frame, its maps, their pictures and its points to a new folder, or nothing.
 
@@ -106,6 +111,8 @@ class Recording:
     path : Path
         It exists after `close`.
     camera : Camera
+    mosaic : str
+        Colour filter array of grey frames whose source states none.
 
     Attributes
     ----------
@@ -118,31 +125,29 @@ class Recording:
         If bags cannot be written.
     """
 
-    def __init__(self, path: Path, camera: Camera) -> None:
+    def __init__(self, path: Path, camera: Camera, mosaic: str) -> None:
         from coded_aperture_ros.bags import bag_output
         from coded_aperture_ros.bags.codec import CAMERA_INFO, IMAGE, camera_info_message, new_topic
 
         self.path = path
         self.count = 0
+        self._mosaic = mosaic
         self._info = camera_info_message(camera.intrinsics)
         self._open = ExitStack()
         self._bag: Any = self._open.enter_context(bag_output(path, "mcap"))
         for topic, kind in ((_TOPIC, IMAGE), (_INFO_TOPIC, CAMERA_INFO)):
             self._bag.add_topic(new_topic(topic, kind))
 
-    def add(self, capture: Capture, mosaic: str) -> None:
-        """Write a frame, with its stamp or else the time of this computer.
-
-        `mosaic` is the colour filter array of a grey frame whose source states none.
-        """
+    def add(self, capture: Capture) -> None:
+        """Write a frame, with its stamp or else the time of this computer."""
         from coded_aperture_ros.bags.codec import camera_info_copy, camera_info_data, image_data
 
-        time_ns = time.time_ns() if capture.stamp_ns is None else capture.stamp_ns
+        time_ns = capture_time_ns(capture)
         stamp = dataclasses.replace(
             self._info.header.stamp, sec=time_ns // 10**9, nanosec=time_ns % 10**9
         )
         header = dataclasses.replace(self._info.header, stamp=stamp, frame_id=_FRAME_ID)
-        pixels, encoding = _message_pixels(capture, mosaic)
+        pixels, encoding = _message_pixels(capture, self._mosaic)
         self._bag.write(_TOPIC, time_ns, image_data(pixels, encoding, header))
         if capture.camera_info is not None:
             info = camera_info_copy(capture.camera_info, header)

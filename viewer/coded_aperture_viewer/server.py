@@ -22,6 +22,8 @@ from coded_aperture_viewer.live import Live, Shown
 from coded_aperture_viewer.open_page import OpenPage
 from coded_aperture_viewer.packet import BEYOND, NEARER, Packet, packet
 from coded_aperture_viewer.page_text import page_policy, page_text
+from coded_aperture_viewer.presets import PRESETS
+from coded_aperture_viewer.ray_grid import ray_grid
 from coded_aperture_viewer.settings import Settings, is_shared
 from coded_aperture_viewer.setup_figures import setup_figures
 
@@ -37,7 +39,22 @@ _PERIOD_S = 0.1
 _PAUSE_S = 0.05
 # The frame that is processed at the end may take so long.
 _LAST_FRAME_S = 0.8
+_RECORDINGS = ("bag", "png")
 _READ_ONLY = "read-only: this viewer was started with --read-only"
+
+
+@dataclasses.dataclass(frozen=True)
+class Origin:
+    """Names of where frames come from, for the head of the page.
+
+    Attributes
+    ----------
+    source, camera : str
+        As a user writes the source, and the name of the camera file.
+    """
+
+    source: str
+    camera: str
 
 
 class Server:
@@ -45,6 +62,7 @@ class Server:
 
     Parameters
     ----------
+    origin : Origin
     camera : Camera
     depth_range_m : (float, float)
         Ends of the colour scale.
@@ -60,6 +78,7 @@ class Server:
 
     def __init__(
         self,
+        origin: Origin,
         camera: Camera,
         depth_range_m: tuple[float, float],
         settings: Settings,
@@ -68,9 +87,10 @@ class Server:
         read_only: bool = False,
     ) -> None:
         self.live: Live | None = None
+        self._origin = origin
         self._camera = camera
         self._range_m = depth_range_m
-        self._first_look = settings.look
+        self._first = settings
         self._switches = LayerSwitches(settings)
         self._keeping = keeping
         self._token = token
@@ -147,7 +167,7 @@ class Server:
             await socket.send_json({"problem": problem})
             await socket.close(code=1013)
             return socket
-        page = OpenPage(socket, request, self._first_look)
+        page = OpenPage(socket, request, self._first.look)
         page.answer(**self._page_setup())
         self._pages.add(page)
         self._update()
@@ -172,7 +192,7 @@ class Server:
             if "layer" in wanted:
                 self._set_layer(page, wanted["layer"])
             if wanted.get("do") in ("snapshot", "record"):
-                page.answer(said=await asyncio.to_thread(self._keep, page, wanted["do"]))
+                page.answer(said=await asyncio.to_thread(self._keep, page, wanted))
         except (InputError, ImportError) as error:
             page.answer(problem=str(error))
         except OSError as error:
@@ -200,12 +220,15 @@ class Server:
         page.layer = name
         self._update()
 
-    def _keep(self, page: OpenPage, kind: str) -> str:
+    def _keep(self, page: OpenPage, wanted: dict[str, Any]) -> str:
         if self._read_only:
             raise InputError(_READ_ONLY)
-        if kind == "snapshot":
+        if wanted["do"] == "snapshot":
             return self._keeping.snapshot(page.look)
-        return self._keeping.toggle_recording()
+        form = wanted.get("form", _RECORDINGS[0])
+        if form not in _RECORDINGS:
+            raise InputError(f"form: {short(form)} is none of {', '.join(_RECORDINGS)}")
+        return self._keeping.toggle_recording(form)
 
     def _update(self) -> None:
         """Process frames as the pages that are open now need them, or a recording does."""
@@ -244,7 +267,10 @@ class Server:
         near_m, far_m = self._range_m
         settings = self._switches.settings
         return {
+            **dataclasses.asdict(self._origin),
             "controls": settings.controls(),
+            "defaults": self._first.as_values(),
+            "presets": [dataclasses.asdict(preset) for preset in PRESETS],
             "layers": settings.layers(),
             "settings": settings.as_values(),
             "read_only": self._read_only,
@@ -252,7 +278,6 @@ class Server:
             "colours": turbo.tolist(),
             "nearer": NEARER,
             "beyond": BEYOND,
-            "focal_px": self._camera.intrinsics.camera_matrix[0] / self._camera.image_width,
         }
 
     def _packet(self, shown: Shown) -> Packet:
@@ -270,6 +295,8 @@ class Server:
         if shown.frame is not None and shown.estimate is not None:
             figures = setup_figures(shown.frame, shown.estimate, self._camera)
             header["aid"] = dataclasses.asdict(figures)
+            if shown.capture is not None:
+                header["rays"] = ray_grid(shown.capture.intrinsics(self._camera))
         frame = np.zeros((1, 1), np.float32) if shown.frame is None else shown.frame
         return packet(frame, shown.pictures, shown.estimate, 2 * self._range_m[1], header)
 

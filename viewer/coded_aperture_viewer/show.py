@@ -33,7 +33,7 @@ from coded_aperture_ros.sources import PictureSource, check_source, open_source
 from coded_aperture_viewer.guard import Gate, request_logger
 from coded_aperture_viewer.keeping import Keeping
 from coded_aperture_viewer.live import Live
-from coded_aperture_viewer.server import Server
+from coded_aperture_viewer.server import Origin, Server
 from coded_aperture_viewer.settings import LookConfig, RunConfig, Settings
 
 _LOCAL = "127.0.0.1"
@@ -115,7 +115,8 @@ def make_server(options: Options) -> tuple[Server, str]:
     settings = Settings(options.depth, deblur, RunConfig(paused=is_single), look)
     token = "" if options.host == _LOCAL else secrets.token_urlsafe(16)
     keeping = Keeping(options.output, camera, options.pixels.mosaic)
-    server = Server(camera, (near_m, far_m), settings, keeping, token, options.read_only)
+    origin = Origin(options.source, Path(path).stem)
+    server = Server(origin, camera, (near_m, far_m), settings, keeping, token, options.read_only)
     server.live = Live(source, pipeline, settings, options.pixels, 1 / options.rate, server.show)
     return server, token
 

@@ -8,13 +8,15 @@ const canvases = { frame: contextOf("frame"), depth: contextOf("depth"),
 const NO_FRAME = "no frame has come yet: wait for the first one";
 // The viewer sends something every few seconds, and a large frame takes a slow network a while.
 const SILENCE_MS = 20000;
+// Below this value of health a frame is of another camera or bank.
+const FITS_FROM = 0.5;
 // What was said in answer to a click stays so long.
 const SAID_MS = 5000;
 // State of the page: settings and the last frame; tests read it as window.viewer.
-const state = { about: null, settings: {}, inactive: {}, frame: null, complete: null, shown: 0 };
+const state = { about: null, settings: {}, inactive: {}, frame: null, shown: 0 };
 window.viewer = state;
 
-let socket, waiting = {}, sending = null, lastSaid = 0, lastHeard = 0;
+let socket, waiting = {}, sending = null, lastSaid = 0, lastHeard = 0, forgetting;
 function connect() {
   const address = new URL("live" + location.search, location.href);
   address.protocol = location.protocol === "https:" ? "wss:" : "ws:";
@@ -47,6 +49,8 @@ function say(text, kind) {
   $("message").textContent = text;
   $("message").className = text ? kind : "";
   lastSaid = kind === "told" ? Date.now() : 0;
+  clearTimeout(forgetting);
+  if (kind === "told") forgetting = setTimeout(() => say("", ""), SAID_MS);
 }
 function send(message) {
   if (socket?.readyState === 1) { socket.send(JSON.stringify(message)); return true; }
@@ -62,23 +66,31 @@ function set(name, value) {
 function told(message) {
   if (message.controls) begin(message);
   if (message.inactive) state.inactive = message.inactive;
-  if (message.pages) {
-    $("shared").textContent = state.about?.read_only ? "(read-only)"
-      : message.pages > 1 ? `(shared, ${message.pages} are open)` : "(shared)";
-    $("record").setAttribute("aria-pressed", message.recorded !== null);
-    $("record").textContent = message.recorded === null ? "Record" : `Recording: ${message.recorded}`;
-  }
+  if (message.pages) drawShared(message);
   if (message.settings && !Object.keys(waiting).length) { state.settings = message.settings; drawSettings(); }
   if (message.said) say(message.said, "told");
   if (message.problem) say(message.problem, state.about ? "told" : "warning");
+}
+function drawShared({ pages, recorded }) {
+  const others = pages > 1 ? `, ${pages} pages are open` : "";
+  $("source").title = state.about?.read_only ? `read-only${others}` : `${pages} open`;
+  state.recorded = recorded;
+  $("record").setAttribute("aria-pressed", recorded !== null);
+  $("record").textContent = recorded === null ? "Record" : `Recording: ${recorded}`;
+  $("form").disabled = recorded !== null || Boolean(state.about?.read_only);
+  $("shared").textContent = state.about?.read_only ? "(read-only)" : pages > 1 ? `(shared by ${pages} pages)` : "";
 }
 function begin(about) {
   const own = Object.entries(state.settings).filter(([name]) => name.startsWith("look."));
   document.body.classList.remove("stale");
   state.about = about;
-  drawScale();
+  const [near, far] = about.range_m;
+  $("source").textContent = about.source;
+  $("camera").textContent = $("camera").title = about.camera;
+  $("range").textContent = `${Number(near.toPrecision(3))} to ${Number(far.toPrecision(3))} m`;
+  makeColours();
   makeControls();
-  say(state.frame ? "" : "waiting for the first frame", state.frame ? "" : "told");
+  say(state.frame ? "" : "waiting for the first frame", "note");
   if (!own.length) return;
   // After a break the page keeps what it has shown, and asks for it again.
   about.settings = { ...about.settings, ...Object.fromEntries(own) };
@@ -102,21 +114,23 @@ async function show(buffer) {
   drawLayerChoice(frame);
   $("rate").textContent = head.rate_hz.toFixed(1);
   $("latency").textContent = head.latency_ms.toFixed(0);
-  $("fit").textContent = head.health ? `fit ${head.health.value.toFixed(2)}` : "";
-  const unfit = head.health && head.health.value < 0.5 ? head.health.said : "";
+  const unfit = head.health && head.health.value < FITS_FROM ? head.health.said : "";
+  $("fit").textContent = head.health ? `${head.health.value.toFixed(2)} ${unfit ? "low" : "good"}` : "not checked";
+  $("fit").className = head.health ? (unfit ? "bad" : "good") : "";
   if (Date.now() - lastSaid > SAID_MS) say(head.problem || unfit, "warning");
   if (head.size[0] > 1) await drawFrame(frame, part);
   drawCursor();
+  drawPlot();
   drawAid(head.aid);
   state.shown++;
 }
 async function drawFrame(frame, part) {
   document.documentElement.style.setProperty("--aspect", frame.size[1] / frame.size[0]);
   if (!state.shown) say("", "");
-  if (frame.depth) { drawMap(frame); drawShare("confidence", frame.confidence, frame.size); }
+  if (frame.depth) { drawMap(frame); drawTrust(frame); }
   await Promise.all(["frame", "picture"].map(async name => {
     const bytes = part(name, Uint8Array);
     if (bytes) draw(name, await createImageBitmap(new Blob([bytes], { type: "image/jpeg" })), frame.size);
   }));
-  collectPoints(frame, part);
+  collectPoints(frame, Boolean(part("picture", Uint8Array)));
 }

@@ -1,5 +1,5 @@
 "use strict";
-// Controls: sliders, boxes and lists of settings, and the figures for setting up.
+// Settings by group, presets, and the buttons of the header.
 const LABELS = { "depth.confidence_threshold": "Confidence threshold of depth",
   "depth.regularize": "Regularisation", "depth.smoothness": "Smoothness of depth",
   "depth.unknown": "Where depth is unknown", "depth.temporal_frames": "Temporal averaging, frames",
@@ -7,12 +7,18 @@ const LABELS = { "depth.confidence_threshold": "Confidence threshold of depth",
   "depth.second_surface": "Second surface",
   "deblur.smoothness": "Smoothness of the picture",
   "look.opening_px": "Blur out of focus, px" };
+const GROUPS = [["Depth", ["depth.confidence_threshold", "depth.unknown", "depth.temporal_frames"]],
+  ["Regularisation", ["depth.regularize", "depth.smoothness"]],
+  ["Layers and checks", ["depth.free_space_risk", "depth.second_surface", "depth.check_fit"]],
+  ["Picture", ["deblur.smoothness", "look.opening_px"]]];
 
 function makeControls() {
-  const { controls, layers, read_only: readOnly } = state.about;
-  for (const [place, shared] of [["controls", true], ["own", false]]) {
-    $(place).replaceChildren(...controls.filter(one => one.shared === shared).map(control));
-  }
+  const { controls, layers, read_only: readOnly } = state.about, grouped = new Set(GROUPS.flatMap(([, names]) => names));
+  const others = controls.map(({ name }) => name).filter(name => !grouped.has(name));
+  const groups = [...GROUPS, ["More", others]].filter(([, names]) => names.length);
+  const open = $("settings").querySelector("details[open]")?.dataset.group ?? groups[0][0];
+  $("settings").replaceChildren(...groups.map(([title, names]) => group(title, controls.filter(({ name }) => names.includes(name)), open)));
+  makePresets();
   const chosen = $("map").value;
   $("map").length = 1;
   for (const layer of layers) {
@@ -21,10 +27,19 @@ function makeControls() {
     $("map").add(option);
   }
   $("map").value = chosen;
-  for (const name of ["pause", "snapshot", "record"]) {
+  for (const name of ["pause", "snapshot", "record", "form"]) {
     $(name).disabled = readOnly;
     $(name).title = readOnly ? "this viewer is read-only" : "";
   }
+}
+function group(title, controls, open) {
+  const box = document.createElement("details"), summary = document.createElement("summary"), reset = document.createElement("button");
+  Object.assign(box, { name: "settings", open: title === open });
+  box.dataset.group = title;
+  summary.textContent = title;
+  Object.assign(reset, { textContent: "Reset", ariaLabel: `Reset: ${title}`, onclick: () => resetSettings(controls.map(({ name }) => name)) });
+  box.append(summary, ...controls.map(control), reset);
+  return box;
 }
 function control(one) {
   const box = document.createElement("div"), label = document.createElement("label");
@@ -69,6 +84,28 @@ function drawSettings() {
     if (shown) shown.textContent = digits(one, value);
   }
   $("pause").setAttribute("aria-pressed", state.settings["run.paused"]);
+  if (!$("what").matches(":focus")) $("what").value = state.settings["look.picture"] ?? "sharp";
+}
+// Settings that this page may change.
+const changeable = name => name.startsWith("look.") || !state.about.read_only;
+function resetSettings(names) {
+  for (const name of names.filter(changeable)) set(name, state.about.defaults[name]);
+  drawSettings();
+}
+function makePresets() {
+  const buttons = state.about.presets.map(preset => Object.assign(document.createElement("button"),
+    { textContent: preset.title, title: preset.help, onclick: () => applyPreset(preset) }));
+  const reset = Object.assign(document.createElement("button"), { textContent: "Reset all", title: "All settings as at the start",
+    onclick: () => resetSettings(Object.keys(state.about.defaults).filter(name => name !== "run.paused")) });
+  const note = Object.assign(document.createElement("span"), { id: "shared", className: "quiet" });
+  $("presets").replaceChildren(...buttons, reset, note);
+}
+function applyPreset({ title, help, values, panel, tool }) {
+  for (const [name, value] of Object.entries(values).filter(([name]) => changeable(name))) set(name, value);
+  setTool(tool);
+  enlarge(panel);
+  drawSettings();
+  say(`${title}: ${help}`, "told");
 }
 // A layer that no setting switches on exists for some cameras only; others cannot be switched on here.
 function drawLayerChoice(frame) {
@@ -79,46 +116,12 @@ function drawLayerChoice(frame) {
     option.disabled = Boolean(layer?.setting && !given && (state.about.read_only || state.inactive[layer.setting]));
   }
 }
-
-// Figures for setting up mask, focus, exposure and the direction of the camera.
-let sharpest = 0;
-function drawAid(aid) {
-  if (!aid || !$("aid").open) { sharpest = 0; return; }
-  sharpest = Math.max(sharpest, aid.sharpness);
-  const per_cent = share => `${(100 * share).toFixed(1)} %`, { wall } = aid;
-  const side = (degrees, positive, negative) =>
-    `${Math.abs(degrees).toFixed(1)}° nearer on the ${degrees >= 0 ? positive : negative}`;
-  const light = aid.clipped > 0.01 ? "too bright: expose less" : aid.light < 0.05 ? "dark: expose more" : "";
-  const rows = [["Light", `${per_cent(aid.light)} of full scale, ${per_cent(aid.clipped)} clipped ${light}`],
-    ["Noise", per_cent(aid.noise)], ["Sharpness in the middle", `${aid.sharpness.toFixed(3)}, best ${sharpest.toFixed(3)}`],
-    ["Depth known", per_cent(aid.known)],
-    ["Wall", wall ? `${wall.distance_m.toFixed(3)} m, ${side(wall.right_nearer_deg, "right", "left")}, ` +
-      `${side(wall.lower_nearer_deg, "lower side", "upper side")}, uneven by ${per_cent(wall.uneven)}` : "none found"]];
-  $("numbers").replaceChildren(...rows.map(cells => {
-    const row = document.createElement("tr");
-    for (const text of cells) row.insertCell().textContent = text;
-    return row;
-  }));
-}
-
-function choose(what) {
-  $("what").value = what;
-  $("of-points").hidden = what !== "points";
-  $("of-picture").hidden = what === "points";
-  set("look.picture", what === "points" ? "sharp" : what);  // points have its colours
-  if (what !== "points") return;
-  if (!state.cloud && state.frame) collectPoints(state.frame);  // until a picture comes
-  drawPoints();
-}
-$("what").onchange = () => choose($("what").value);
-$("map").onchange = () => {
-  send({ layer: $("map").value });
-  if (state.frame?.depth) drawMap(state.frame);
-};
 $("pause").onclick = () => { set("run.paused", !state.settings["run.paused"]); drawSettings(); };
-for (const kind of ["snapshot", "record"]) {
-  $(kind).onclick = () => {
-    if (!state.frame) say(NO_FRAME, "told");
-    else send({ do: kind });
-  };
-}
+$("snapshot").onclick = () => {
+  if (!state.frame) say(NO_FRAME, "told");
+  else send({ do: "snapshot" });
+};
+$("record").onclick = () => {
+  if (!state.frame) say(NO_FRAME, "told");
+  else send({ do: "record", form: $("form").value });
+};

@@ -1,78 +1,38 @@
 "use strict";
-// Points in space, turned around the middle of the points; all stay in the picture.
-const TURN = { yaw: 1.3, pitch: 1.0 }, ZOOM = { least: 0.5, most: 6 }, FIRST = { yaw: 0.35, pitch: -0.25, closer: 1 };
-// Half of the angle of view, as a tangent along the shorter side.
-const HALF_VIEW = 0.4;
-// Zooms that are tried for the first view; the last one holds all that is within the radius.
-const FITS = [2.6, 2.3, 2, 1.8, 1.6, 1.4, 1.2, 1];
+// The points of a frame on their canvas, with axes, the camera's field of view, and what is measured.
 // Where no all-in-focus picture comes for so many frames, points have the colours of the coded frame.
 const FRAMES_WITHOUT = 60;
-const BACKGROUND = 0xff181818, AXES = [["x right", "#f55"], ["y down", "#5d5"], ["z away", "#6af"]];
-Object.assign(state, FIRST, { cloud: null, middle: null });
+// Small, they are drawn this often, ms.
+const SMALL_PERIOD_MS = 900;
+const BACKGROUND = 0xff181818, AXES = [["x right", "#f66"], ["y down", "#6d6"], ["z away", "#7af"]];
+const FRUSTUM_COLOUR = "#ddd", MEASURED_COLOUR = "#fff";
 
 // Depth and colours of one frame; of frames with an all-in-focus picture, if there are such frames.
-function collectPoints(frame, part = () => null) {
-  if ($("what").value !== "points" || !frame.depth) return;
-  const isSharp = Boolean(part("picture", Uint8Array));
+function collectPoints(frame, isSharp) {
+  if (!frame.depth || !frame.rays) return;
+  const now = performance.now();
+  if (state.large !== "points" && state.cloud && now < state.pointsDue) return;
   state.without = isSharp ? 0 : (state.without ?? 0) + 1;
   if (!isSharp && state.cloud?.isSharp && state.without < FRAMES_WITHOUT) return;
-  const [rows, columns] = frame.size;
-  const pixels = canvases[isSharp ? "picture" : "frame"].getImageData(0, 0, columns, rows);
+  state.pointsDue = now + SMALL_PERIOD_MS;
+  const [rows, columns] = frame.size, source = $(isSharp ? "picture" : "frame");
+  if (source.width !== columns || source.height !== rows) return;
+  const pixels = canvases[source.id].getImageData(0, 0, columns, rows);
   state.cloud = { ...pointsOf(frame), colours: new Uint32Array(pixels.data.buffer), isSharp, size: frame.size };
   if (!state.middle) findMiddle();
   drawPoints();
 }
-function pointsOf({ depth, unit_m: unit, size: [rows, columns] }) {
-  const { nearer, focal_px: focal } = state.about, places = [], positions = [];
-  for (let row = 0; row < rows; row += 2) for (let column = 0; column < columns; column += 2) {
-    const at = row * columns + column, step = depth[at];
-    if (!step || step >= nearer) continue;
-    const z = step * unit;
+function pointsOf(frame) {
+  const { depth, unit_m: unit, size: [rows, columns] } = frame, { nearer } = state.about;
+  const rays = raysOfFrame(frame), places = [], positions = [], depthColours = [], shade = shades(unit);
+  for (let row = 0, ray = 0; row < rows; row += 2) for (let column = 0; column < columns; column += 2, ray += 2) {
+    const at = row * columns + column, step = depth[at], z = step * unit;
+    if (!step || step >= nearer || Number.isNaN(rays[ray])) continue;
     places.push(at);
-    positions.push((column - columns / 2) / (focal * columns) * z, (row - rows / 2) / (focal * columns) * z, z);
+    positions.push(rays[ray] * z, rays[ray + 1] * z, z);
+    depthColours.push(state.colours[shade[step]]);
   }
-  return { places, positions: new Float32Array(positions) };
-}
-// Turning centre, and radius within which nearly all points are.
-function findMiddle() {
-  const { positions } = state.cloud, count = positions.length / 3;
-  if (!count) return;
-  const along = axis => Float32Array.from({ length: count }, (_, at) => positions[3 * at + axis]).sort();
-  const centre = [0, 1, 2].map(axis => {
-    const sorted = along(axis);
-    return (sorted[Math.floor(0.02 * count)] + sorted[Math.floor(0.98 * (count - 1))]) / 2;
-  });
-  const far = Float32Array.from({ length: count }, (_, at) =>
-    Math.hypot(...centre.map((value, axis) => positions[3 * at + axis] - value))).sort();
-  state.middle = { centre, radius: Math.max(far[Math.floor(0.98 * (count - 1))], 1e-3), fit: 1 };
-  state.middle.fit = FITS.find(fitsEverywhere) ?? 1;
-}
-// Whether nearly all points are in the picture from every direction, with a zoom.
-function fitsEverywhere(fit) {
-  const { cloud: { positions, size, places }, middle } = state, step = Math.ceil(places.length / 300);
-  const directions = [-1, -0.5, 0, 0.5, 1];
-  return directions.every(right => directions.every(down => {
-    const project = projection(size, { yaw: right * TURN.yaw, pitch: down * TURN.pitch, closer: fit / middle.fit });
-    let inside = 0, count = 0;
-    for (let at = 0; at < places.length; at += step, count++) {
-      const [x, y] = project(...positions.subarray(3 * at, 3 * at + 3));
-      inside += x >= 0 && x < size[1] && y >= 0 && y < size[0];
-    }
-    return inside >= 0.95 * count;
-  }));
-}
-// Right, down and depth of a point in pixels of the canvas, seen from outside.
-function projection([rows, columns], { yaw, pitch, closer } = state) {
-  const { centre: [cx, cy, cz], radius, fit } = state.middle;
-  const [cosY, sinY, cosP, sinP] = [Math.cos(yaw), Math.sin(yaw), Math.cos(pitch), Math.sin(pitch)];
-  const focal = Math.min(rows, columns) / 2 / HALF_VIEW;
-  const away = radius * Math.hypot(1, HALF_VIEW) / HALF_VIEW / (closer * fit);
-  return (x0, y0, z0) => {
-    const x1 = x0 - cx, y1 = y0 - cy, z1 = z0 - cz;
-    const x = cosY * x1 + sinY * z1, side = -sinY * x1 + cosY * z1;
-    const y = cosP * y1 - sinP * side, z = sinP * y1 + cosP * side + away;
-    return [columns / 2 + focal * x / z, rows / 2 + focal * y / z, z, focal];
-  };
+  return { places, positions: new Float32Array(positions), depthColours };
 }
 function drawPoints() {
   const size = state.cloud?.size ?? state.frame?.size ?? [480, 640], [rows, columns] = size;
@@ -83,41 +43,80 @@ function drawPoints() {
     write(context, state.frame ? "no depth is known yet" : "no frame has come yet", 12, 24, "#ccc");
     return;
   }
-  const nearest = new Float32Array(words.length).fill(Infinity), project = projection(size);
-  const { places, positions, colours } = state.cloud, apart = 2 / (state.about.focal_px * columns);
+  const view = viewOf(size);
+  fillSplats(words, size, view);
+  context.putImageData(image, 0, 0);
+  drawFrustum(context, view);
+  drawAxes(context, view);
+  drawMeasured(context, view);
+}
+// Squares as large as a pixel's part of the surface, the nearest in front; `picked` tells which point a pixel shows.
+function fillSplats(words, [rows, columns], { toView, toPixels, focal, nearest }) {
+  const { places, positions, colours, depthColours } = state.cloud, byDepth = $("colouring").value === "depth";
+  const distance = new Float32Array(words.length).fill(Infinity), picked = state.picked = new Int32Array(words.length).fill(-1);
+  const apart = 2 * Math.abs(rayAt(columns / 2 + 1, rows / 2)[0] - rayAt(columns / 2, rows / 2)[0]);
   state.inside = 0;
   for (let at = 0; at < places.length; at++) {
-    const z0 = positions[3 * at + 2], [right, down, z, focal] = project(positions[3 * at], positions[3 * at + 1], z0);
-    if (z < 0.05 * state.middle.radius) continue;
-    const left = Math.round(right), top = Math.round(down);
+    const z0 = positions[3 * at + 2], seen = toView(positions[3 * at], positions[3 * at + 1], z0), z = seen[2];
+    if (z < nearest) continue;
+    const [right, down] = toPixels(seen), left = Math.round(right), top = Math.round(down);
     if (left >= 0 && left < columns && top >= 0 && top < rows) state.inside++;
-    const wide = Math.min(6, Math.ceil(apart * z0 * focal / z)) + 1, colour = colours[places[at]];
+    const wide = Math.min(6, Math.ceil(apart * z0 * focal / z)) + 1, colour = byDepth ? depthColours[at] : colours[places[at]];
     for (let y = Math.max(0, top); y < Math.min(rows, top + wide); y++) {
       for (let x = Math.max(0, left); x < Math.min(columns, left + wide); x++) {
         const to = y * columns + x;
-        if (z < nearest[to]) { nearest[to] = z; words[to] = colour; }
+        if (z < distance[to]) { distance[to] = z; words[to] = colour; picked[to] = at; }
       }
     }
   }
-  context.putImageData(image, 0, 0);
-  drawAxes(context, project);
+}
+// A line between two points in space; what is behind the viewer is cut off.
+function line(context, { toView, toPixels, nearest }, one, other, colour, width = 2) {
+  let [begin, end] = [toView(...one), toView(...other)];
+  if (begin[2] > end[2]) [begin, end] = [end, begin];
+  if (end[2] <= nearest) return;
+  if (begin[2] < nearest) {
+    const share = (nearest - begin[2]) / (end[2] - begin[2]);
+    begin = begin.map((value, axis) => value + share * (end[axis] - value));
+  }
+  context.strokeStyle = colour;
+  context.lineWidth = width;
+  context.beginPath();
+  context.moveTo(...toPixels(begin).slice(0, 2));
+  context.lineTo(...toPixels(end).slice(0, 2));
+  context.stroke();
+}
+// The camera, and what it sees between the ends of its range.
+function drawFrustum(context, view) {
+  const [rows, columns] = state.cloud.size, corners = [[0, 0], [columns - 1, 0], [columns - 1, rows - 1], [0, rows - 1]];
+  const rays = corners.map(([column, row]) => rayAt(column, row));
+  if (rays.flat().some(Number.isNaN)) return;
+  const at = (ray, z) => [ray[0] * z, ray[1] * z, z], [near, far] = state.about.range_m;
+  rays.forEach((ray, index) => {
+    const next = rays[(index + 1) % 4];
+    line(context, view, [0, 0, 0], at(ray, far), FRUSTUM_COLOUR, 1);
+    for (const z of [near, far]) line(context, view, at(ray, z), at(next, z), FRUSTUM_COLOUR, 1);
+  });
 }
 // Axes of the optical frame at the turning centre, of a round length.
-function drawAxes(context, project) {
+function drawAxes(context, view) {
   const { centre, radius } = state.middle, decade = 10 ** Math.floor(Math.log10(radius / 2));
   const length = decade * [5, 2, 1].find(step => step * decade <= radius / 2);
-  const begin = project(...centre);
   AXES.forEach(([name, colour], axis) => {
-    const end = project(...centre.map((value, at) => value + (at === axis ? length : 0)));
-    context.strokeStyle = colour;
-    context.lineWidth = 2;
-    context.beginPath();
-    context.moveTo(begin[0], begin[1]);
-    context.lineTo(end[0], end[1]);
-    context.stroke();
-    write(context, name, end[0] + 4, end[1] + 4, colour);
+    const end = centre.map((value, at) => value + (at === axis ? length : 0));
+    line(context, view, centre, end, colour);
+    const [x, y, z] = view.project(...end);
+    if (z > view.nearest) write(context, name, x + 4, y + 4, colour);
   });
   write(context, `axes: ${Number(length.toPrecision(1))} m`, 8, context.canvas.height - 10, "#ddd");
+}
+function drawMeasured(context, view) {
+  const found = measured();
+  if (!found) return;
+  const [one, other] = found.ends.map(end => end.position);
+  line(context, view, one, other, MEASURED_COLOUR, 3);
+  const [x, y] = view.project(...one.map((value, axis) => (value + other[axis]) / 2));
+  write(context, found.text, x + 6, y - 6, MEASURED_COLOUR);
 }
 function write(context, text, x, y, colour) {
   context.font = `${Math.max(10, Math.round(context.canvas.width / 45))}px system-ui, sans-serif`;
@@ -127,48 +126,3 @@ function write(context, text, x, y, colour) {
   context.fillStyle = colour;
   context.fillText(text, x, y);
 }
-
-const within = (value, most, least = -most) => Math.max(least, Math.min(most, value));
-function turn(right, down) {
-  state.yaw = within(state.yaw + right, TURN.yaw);
-  state.pitch = within(state.pitch + down, TURN.pitch);
-  drawPoints();
-}
-function zoom(factor) {
-  state.closer = within(state.closer * factor, ZOOM.most, ZOOM.least);
-  drawPoints();
-}
-function resetView() {
-  Object.assign(state, FIRST);
-  if (state.cloud) findMiddle();
-  drawPoints();
-}
-// One pointer turns, two zoom by their distance.
-const touching = new Map();
-$("points").onpointerdown = event => {
-  touching.set(event.pointerId, [event.clientX, event.clientY]);
-  $("points").setPointerCapture(event.pointerId);
-};
-$("points").onpointermove = event => {
-  const before = touching.get(event.pointerId);
-  if (!before) return;
-  const others = [...touching].filter(([pointer]) => pointer !== event.pointerId).map(([, place]) => place);
-  const now = [event.clientX, event.clientY], box = $("points").getBoundingClientRect();
-  touching.set(event.pointerId, now);
-  if (!others.length) turn(3 * (now[0] - before[0]) / box.width, 3 * (now[1] - before[1]) / box.height);
-  else zoom(Math.hypot(now[0] - others[0][0], now[1] - others[0][1]) /
-            Math.max(1, Math.hypot(before[0] - others[0][0], before[1] - others[0][1])));
-};
-$("points").onpointerup = $("points").onpointercancel = event => touching.delete(event.pointerId);
-$("points").onwheel = event => { event.preventDefault(); zoom(Math.exp(-event.deltaY / 600)); };
-$("points").ondblclick = resetView;
-$("points").onkeydown = event => {
-  const actions = { ArrowLeft: () => turn(-0.1, 0), ArrowRight: () => turn(0.1, 0), ArrowUp: () => turn(0, -0.1),
-    ArrowDown: () => turn(0, 0.1), "+": () => zoom(1.2), "-": () => zoom(1 / 1.2), 0: resetView };
-  if (!actions[event.key]) return;
-  event.preventDefault();
-  actions[event.key]();
-};
-$("reset").onclick = resetView;
-$("nearer").onclick = () => zoom(1.3);
-$("away").onclick = () => zoom(1 / 1.3);
