@@ -5,15 +5,15 @@ from coded_aperture_ros.optics.camera import Camera
 from coded_aperture_ros.optics.field import FieldCurvature
 
 # Radial and tangential defocus times the focal length, over the squared tangent of the field angle.
-# The root mean square of twelve published lenses for photography at f/2.8 or less is 0.076
-# (`training/field_prior.py`); they are few, and have more of it wide open.
-SPREAD = 0.1
+# Twice the root mean square of twelve published lenses for photography at f/2.8 or f/2, which is
+# 0.076 (`training/field_prior.py`): they are few, and the farthest off has 0.25.
+SPREAD = 0.15
 
 
 def unmeasured_defocus(camera: Camera, shape: tuple[int, int]) -> FloatArray | None:
     """Standard deviation of the inverse focus distance of every pixel, as lenses are by and large.
 
-    It is ``0.1 t^2 / f``, where t is the tangent of the angle from the axis and f the focal
+    It is ``0.15 t^2 / f``, where t is the tangent of the angle from the axis and f the focal
     length: field curvature and astigmatism of lenses for photography. A single lens may have ten
     times as much.
 
@@ -35,7 +35,7 @@ def unmeasured_defocus(camera: Camera, shape: tuple[int, int]) -> FloatArray | N
     ...     1000.0, 2.0, 640, 480, Mask.named("levin"), 10.0, focal_length_mm=16.0
     ... )
     >>> round(float(unmeasured_defocus(camera, (480, 640))[0, 0]), 2)
-    1.0
+    1.49
     """
     if camera.focal_length_mm is None or camera.field_is_measured:
         return None

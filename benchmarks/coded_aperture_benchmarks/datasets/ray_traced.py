@@ -117,7 +117,11 @@ def load_sharp(folder: Path) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
 
 
 def scene_camera(folder: Path, mask_name: str) -> Camera:
-    """Read from a scene's folder the camera that it was rendered with."""
+    """Read from a scene's folder the camera that it was rendered with.
+
+    Folders of ideal thin lenses say no focal length in mm; a real lens has one, and is doubted away
+    from the axis as long as it is not measured.
+    """
     meta = scene_meta(folder)
     try:
         rows = meta["masks"].get(mask_name)
@@ -132,6 +136,7 @@ def scene_camera(folder: Path, mask_name: str) -> Camera:
             image_height=meta["height"],
             mask=Mask.from_rows(rows, mask_name),
             mask_extent_mm=meta["aperture_width_m"] * 1e3,
+            focal_length_mm=meta.get("focal_length_mm"),
         )
     except KeyError as error:
         raise InputError(f"{folder / _META}: has no {error.args[0]}") from error
