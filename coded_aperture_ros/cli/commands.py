@@ -6,7 +6,7 @@ from coded_aperture_ros.cli.extension import BENCH, VIEWER
 from coded_aperture_ros.cli.table import Actions, Entry
 
 _DESIGN = Entry(
-    "design", "show how finely a camera tells depths apart, and the best focus and mask size"
+    "design", "rank cameras for your distances (--for), or show how finely one tells depths apart"
 )
 _CALIBRATE = Actions(
     help="measure a camera from its pictures",
