@@ -3,7 +3,7 @@
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,8 @@ from coded_aperture_ros.io.display import (
     write_depth_for_display,
     write_light_for_display,
 )
-from coded_aperture_ros.io.messages import pixels_from_frame
 from coded_aperture_ros.likelihood.bank import power_spectrum
-from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.simulation import MOTORCYCLE_RANGE_M, demo_scene, render_coded_frame
-from coded_aperture_ros.simulation.scene import SimulatedFrame
 
 _EXAMPLES = """example:
   coded_aperture sample && cd sample
@@ -92,35 +89,11 @@ def _made(folder: Path) -> Iterator[list[str]]:
         entries.append({"file": name, "depth_m": round(1 / inverse, 4)})
     (folder / "planes" / "planes.json").write_text(json.dumps(entries, indent=1) + "\n")
     yield ["planes"]
-    yield _record(folder / "recording", camera, views)
-
-
-def _record(path: Path, camera: Camera, views: Sequence[SimulatedFrame]) -> list[str]:
-    """Write a bag of the views; return its name."""
     # rosbags is an extra.
-    from coded_aperture_ros.bags import bag_output, codec
+    from coded_aperture_ros.bags.recording import record_views
 
-    info = codec.camera_info_message(camera.intrinsics)
-    with bag_output(path, "mcap") as bag:
-        kinds = {
-            "/image_raw": codec.IMAGE,
-            "/camera_info": codec.CAMERA_INFO,
-            "/ground_truth/depth": codec.IMAGE,
-        }
-        for topic, kind in kinds.items():
-            bag.add_topic(codec.new_topic(topic, kind))
-        for index, view in enumerate(views):
-            time_ns = 10**9 + index * 10**9 // _RATE_HZ
-            sec, nanosec = divmod(time_ns, 10**9)
-            stamp = dataclasses.replace(info.header.stamp, sec=sec, nanosec=nanosec)
-            header = dataclasses.replace(info.header, stamp=stamp, frame_id="camera_optical_frame")
-            pixels = pixels_from_frame(view.coded, "mono16")
-            size = view.depth_m.shape
-            bag.write("/image_raw", time_ns, codec.image_data(pixels, "mono16", header))
-            bag.write("/camera_info", time_ns, codec.camera_info_data(info, size, header))
-            depth = codec.image_data(view.depth_m, "32FC1", header)
-            bag.write("/ground_truth/depth", time_ns, depth)
-    return [path.name]
+    record_views(folder / "recording", camera, views, _RATE_HZ)
+    yield ["recording"]
 
 
 COMMAND = Command(
