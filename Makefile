@@ -27,7 +27,7 @@ READY_OLDEST := $(VENV_OLDEST)/finished-with-3.12
 SETUP := setup.py setup.cfg pyproject.toml scripts/create_environment.sh
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs
+.PHONY: help demo test test-all test-installed test-oldest fuzz soak lint docs notebooks
 .PHONY: train train-blend train-second train-check environment clean release-check
 
 help: ## Show this list
@@ -71,6 +71,9 @@ release-check: ## Say whether this can be released, and what only a maintainer c
 docs: $(VENV)/finished-docs ## Build the documentation as a site (docs/_build/html)
 	@$(VENV)/bin/python -m sphinx -E -W --keep-going -q -b html docs docs/_build/html
 	@echo 'docs/_build/html/index.html'
+
+notebooks: ## Write the examples as notebooks (examples/notebooks)
+	@$(PYTHON) scripts/make_notebooks.py
 
 ifneq ($(filter test-oldest,$(MAKECMDGOALS)),)
 ifeq ($(PYTHON312),)

@@ -113,7 +113,7 @@ setup(
         "cut": ["ezdxf>=1.0"],
         "cluster": ["distributed>=2024.1"],
         # `make docs`.
-        "docs": ["sphinx>=7", "myst-parser>=2", "numpydoc>=1.6", "furo"],
+        "docs": ["sphinx>=7", "myst-parser>=2", "numpydoc>=1.6", "furo", "sphinx-gallery>=0.17"],
         # What `colcon test` looks at to find out that the tests are pytest's.
         "test": ["pytest>=7.4", "pytest-timeout>=2.2", "hypothesis>=6.98"],
         "dev": [

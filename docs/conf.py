@@ -3,12 +3,13 @@
 import os
 import re
 import sys
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 # rosdoc2 builds from a copy that may lack what the nodes need; the library does not need it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -20,6 +21,18 @@ version = release = re.search(
 )[1]
 
 extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+if find_spec("sphinx_gallery"):  # nor this one: then the page of the examples has none
+    extensions.append("sphinx_gallery.gen_gallery")
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "generated/gallery",
+    "within_subsection_order": "FileNameSortKey",
+    "abort_on_example_error": True,
+    "first_notebook_cell": import_module("make_notebooks").first_cell(),
+    "download_all_examples": False,
+    "write_computation_times": False,
+    "show_signature": False,
+}
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
 # rosdoc2 brings its own set of packages, without furo.
@@ -39,6 +52,7 @@ OUTSIDE = {
     ROOT / "CONTRIBUTING.md": "contributing",
     ROOT / "CHANGELOG.rst": "changelog",
     ROOT / "benchmarks" / "README.md": "benchmarks",
+    ROOT / "examples" / "GALLERY_HEADER.rst": "gallery/index",
 }
 COPIES = DOCS / "generated"
 
@@ -60,7 +74,7 @@ def text_for_site(path, folder):
 
 def copy_outside_documents():
     """Write the copies, where their text has changed."""
-    COPIES.mkdir(exist_ok=True)
+    (COPIES / "gallery").mkdir(parents=True, exist_ok=True)
     for path, name in OUTSIDE.items():
         copy = COPIES / f"{name}{path.suffix}"
         if not path.is_file():

@@ -6,8 +6,7 @@ A camera file describes lens, sensor and mask. It says which distance has which 
 """
 
 # %%
-# A 25 mm f/1.4 lens with Levin's mask, focused at 0.57 m, before a 1.1-inch sensor of which 6 x 6
-# pixels make one.
+# A 25 mm lens with Levin's mask, focused at 0.57 m, before a sensor with pixels of 20.7 µm.
 import tempfile
 from pathlib import Path
 
@@ -34,14 +33,13 @@ calibrated: traced
 camera = ca.load_camera(path)
 
 # %%
-# Its blur grows with the distance behind the focus, more slowly the farther away: so does the step
-# of depth that changes the blur by one pixel.
+# Behind the focus the blur grows with the distance, more slowly the farther away.
 curves = design_curves(camera, 0.63, 1.53)
-fig, (blur, step) = plt.subplots(1, 2, figsize=(10, 3), layout="constrained")
-blur.plot(curves.depth_m, camera.blur_size_px(curves.depth_m))
-blur.set(xlabel="distance [m]", ylabel="size of the blur [px]")
-step.plot(curves.depth_m, 100 * curves.resolution_m)
-step.set(xlabel="distance [m]", ylabel="step of depth for 1 px [cm]")
+fig, axis = plt.subplots(figsize=(6, 3), layout="constrained")
+axis.plot(curves.depth_m, camera.blur_size_px(curves.depth_m), label="size of the blur [px]")
+axis.plot(curves.depth_m, 100 * curves.resolution_m, label="step of depth for 1 px [cm]")
+axis.set_xlabel("distance [m]")
+axis.legend()
 
 # %%
 # A photograph that leans backwards: 0.65 m away at its lower edge, 1.5 m at the upper one.
@@ -53,7 +51,6 @@ bank = ca.learn_bank_for_camera(camera, near_m=0.62, far_m=1.7)
 depth_m = ca.FramePipeline(bank, camera)(frame).depth_values()
 fig, (left, right) = plt.subplots(1, 2, figsize=(10, 3), layout="constrained")
 left.imshow(frame ** (1 / 2.2))
-left.axis("off")
 right.plot(true_m[:, 0], np.arange(360), "k--", label="true")
 right.plot(np.nanmedian(depth_m, axis=1), np.arange(360), label="median of a row")
 right.set(xlabel="distance [m]", ylabel="row", ylim=(359, 0))

@@ -2,7 +2,7 @@
 A custom stage
 ==============
 
-A stage reads what the stages before it have found, and adds a layer: here a warning of what is near.
+A stage reads what the stages before it have found, and adds a layer: here what is too near.
 """
 
 # %%
@@ -45,14 +45,14 @@ true_m = scene.depth_m()
 frame = SensorModel(0.002).expose(scene.coded(), np.random.default_rng(0))
 bank = ca.learn_bank_for_camera(scene.camera, true_m.min(), true_m.max())
 estimator = ca.DepthEstimator(bank, camera=scene.camera)
-limit_m = float(np.quantile(true_m, 0.3))
+limit_m = float(true_m.mean())
 work = estimator.run_front(frame)
 run([*estimator.back(frame.shape), WarnOfNear(limit_m)], work)
 near = work.estimate().values("near")
-
 fig, axes = plt.subplots(1, 3, figsize=(12, 3), layout="constrained")
-for axis, title, values in zip(axes, ("frame", "true", "warning"), (frame, true_m < limit_m, near)):
-    axis.imshow(values, "gray" if title == "frame" else "inferno")
+maps = {"frame": frame, "true": true_m < limit_m, "probability of being too near": near}
+for axis, (title, values) in zip(axes, maps.items()):
+    axis.imshow(values, "gray" if title == "frame" else "inferno", vmin=0, vmax=1)
     axis.set_title(title)
     axis.axis("off")
 right = (near > 0.5) == (true_m < limit_m)

@@ -35,9 +35,26 @@ def versions(folder: Path) -> Finding:
 def maintainer(folder: Path) -> Finding:
     """Look for the placeholder of the maintainer's address."""
     names = ("package.xml", "setup.py")
-    held = [name for name in names if PLACEHOLDER in (folder / name).read_text()]
-    said = f"put your address in place of {PLACEHOLDER} in {' and '.join(held)}"
+    held = [name for name in names if f"@{PLACEHOLDER}" in (folder / name).read_text()]
+    said = f"put your address in place of that at {PLACEHOLDER} in {' and '.join(held)}"
     return ("maintainer", MAINTAINER if held else OK, said if held else "named")
+
+
+def repository(folder: Path) -> Finding:
+    """Look for the public address of the sources, from which notebooks install the package."""
+    urls = ElementTree.parse(folder / "package.xml").findall("url")
+    address = next((url.text or "" for url in urls if url.get("type") == "repository"), "")
+    if not address or PLACEHOLDER in address:
+        said = (
+            'put the public address into package.xml (url type="repository"), then '
+            "`make notebooks`; a badge of Colab in README.md can open "
+            "examples/notebooks/plot_1_depth_of_a_picture.ipynb from there"
+        )
+        return ("repository", MAINTAINER, said)
+    notebooks = sorted((folder / "examples" / "notebooks").glob("*.ipynb"))
+    other = [path.name for path in notebooks if address not in path.read_text()]
+    said = f"make notebooks: {other[0]} installs from elsewhere" if other else address
+    return ("repository", WRONG if other else OK, said)
 
 
 def changelog(folder: Path) -> Finding:
@@ -82,7 +99,7 @@ def tag(folder: Path) -> Finding:
 def main() -> int:
     """Print all findings; return the exit status."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-    checks = (versions, licence, tree, maintainer, changelog, tag)
+    checks = (versions, licence, tree, maintainer, repository, changelog, tag)
     findings = [check(folder) for check in checks]
     for name, state, said in findings:
         print(f"[{state:^10}] {name}: {said}")

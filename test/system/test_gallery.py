@@ -1,5 +1,8 @@
 """Examples of the gallery run as scripts, away from the checkout, and their own checks hold."""
 
+import ast
+import importlib
+import json
 import os
 import subprocess
 import sys
@@ -34,3 +37,29 @@ def test_an_example_is_short_and_checks_what_it_shows(example):
     assert len(text.splitlines()) <= 60
     assert "\nassert " in text
     assert "plt." in text
+
+
+@pytest.fixture
+def maker(checkout, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(checkout) / "scripts"))
+    yield importlib.import_module("make_notebooks")
+    sys.modules.pop("make_notebooks")
+
+
+def test_notebooks_are_up_to_date(maker):
+    wanted = maker.notebooks()
+    assert {path: path.read_text() for path in maker.NOTEBOOKS.iterdir()} == wanted
+    assert len(wanted) == len(EXAMPLES) == 8
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_a_notebook_has_the_code_of_its_example(maker, example):
+    """But for the first cell, which installs the package."""
+    notebook = json.loads((maker.NOTEBOOKS / f"{example.stem}.ipynb").read_text())
+    first, *cells = (
+        "".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"
+    )
+    assert "%pip install" in first and maker.repository() in first
+    code = ast.parse(example.read_text())
+    del code.body[0]  # the title
+    assert ast.dump(ast.parse("\n".join(cells))) == ast.dump(code)

@@ -160,7 +160,9 @@ def test_extras(requirements):
     assert {"torch"} == names_in_extra(requirements, "gpu")
     dev = {"pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "colcon-core", "colcon-ros"}
     assert dev <= names_in_extra(requirements, "dev")
-    assert {"sphinx", "myst-parser", "numpydoc", "furo"} == names_in_extra(requirements, "docs")
+    assert {"sphinx", "myst-parser", "numpydoc", "furo", "sphinx-gallery"} == names_in_extra(
+        requirements, "docs"
+    )
 
 
 def test_ros_comes_only_with_its_extra(requirements):

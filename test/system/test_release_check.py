@@ -46,6 +46,19 @@ def test_a_named_maintainer_and_a_finished_changelog_are_enough(release):
     assert script["maintainer"](folder)[1] == script["changelog"](folder)[1] == "ok"
 
 
+def test_notebooks_install_from_the_public_address(release):
+    script, folder = release
+    assert script["repository"](folder)[1] == "maintainer"
+    notebooks = folder / "examples" / "notebooks"
+    notebooks.mkdir(parents=True)
+    (notebooks / "one.ipynb").write_text("git+https://example.org/coded_aperture_ros")
+    change(folder / "package.xml", "https://example.org/", "https://robots.example/")
+    found = script["repository"](folder)
+    assert found == ("repository", "WRONG", "make notebooks: one.ipynb installs from elsewhere")
+    change(notebooks / "one.ipynb", "example.org", "robots.example")
+    assert script["repository"](folder)[1] == "ok"
+
+
 def test_another_licence_is_wrong(release):
     script, folder = release
     (folder / "LICENSE").write_text("All rights reserved")
