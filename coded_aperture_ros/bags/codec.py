@@ -78,7 +78,7 @@ def read_picture(data: bytes | memoryview, type_name: str, mosaic: str = "") -> 
     MessageError
         Of kind "message" if it is no such message; of other kinds if its image cannot be used.
     """
-    message = _read(data, type_name)
+    message = read_message(data, type_name)
     if type_name == IMAGE:
         pixels, encoding, lost = array_from_image(message), message.encoding, 0.0
     else:
@@ -91,13 +91,13 @@ def read_picture(data: bytes | memoryview, type_name: str, mosaic: str = "") -> 
 
 def read_depth_image(data: bytes | memoryview) -> Picture:
     """Picture for `depth_from_pixels`; a `MessageError` of kind "depth" if it is no depth image."""
-    message = _read(data, IMAGE)
+    message = read_message(data, IMAGE)
     return Picture(message.header, depth_pixels(message), message.encoding)
 
 
 def read_camera_info(data: bytes | memoryview) -> Any:
     """Camera model; a `MessageError` of kind "message" if it is none."""
-    return _read(data, CAMERA_INFO)
+    return read_message(data, CAMERA_INFO)
 
 
 def image_data(pixels: NDArray, encoding: str, header: Any) -> memoryview:
@@ -205,7 +205,8 @@ def _whole_view() -> Any:
     return kind(x_offset=0, y_offset=0, height=0, width=0, do_rectify=False)
 
 
-def _read(data: bytes | memoryview, type_name: str) -> Any:
+def read_message(data: bytes | memoryview, type_name: str) -> Any:
+    """Message of a type that rosbags knows; a `MessageError` if it is none."""
     try:
         return _store().deserialize_cdr(data, type_name)
     except Exception as error:  # whatever a decoder makes of bytes that are something else

@@ -35,6 +35,7 @@ from coded_aperture_ros.bags.messages import (
 )
 from coded_aperture_ros.bags.page import PAGE, write_report
 from coded_aperture_ros.bags.pairing import TOLERANCE_NS, MessageTimes, pair_messages
+from coded_aperture_ros.bags.poses import BagPoses
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.score import References
 from coded_aperture_ros.bags.topics import (
@@ -91,6 +92,8 @@ class BagConversion:
         Of 16-bit frames.
     points : bool
         Whether there are point clouds in the new bag.
+    fixed_frame : str
+        Frame of /tf or odometry in which the camera moves; empty: no poses are wanted.
     settings : mapping
         For the report.
     processes : int
@@ -112,6 +115,7 @@ class BagConversion:
     bits: int = 16
     mosaic: str = ""
     points: bool = False
+    fixed_frame: str = ""
     settings: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     processes: int = 0
     threads: int = 0
@@ -157,6 +161,9 @@ class BagConversion:
         image, references, outputs = self._topics(bag)
         info = first_info(bag, image)
         data, view, camera = first_frame(bag, image, self.camera, info)
+        poses = None
+        if self.fixed_frame:
+            poses = BagPoses.of_camera(bag.path, self.fixed_frame, image.name)
         recipe = FrameRecipe(
             self.new_pipeline,
             self.prior,
@@ -170,6 +177,7 @@ class BagConversion:
             self.threads if self._processes == 1 else 1,
             self.mosaic,
             self.points,
+            poses,
         )
         processor = kept_processor(pickle.dumps(recipe))
         if references:

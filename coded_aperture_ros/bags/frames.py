@@ -1,6 +1,7 @@
 """One frame of a bag: its message through the pipeline, and what comes of it."""
 
 import dataclasses
+import functools
 import os
 import pickle
 import threading
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.bags.codec import Picture, read_picture
+from coded_aperture_ros.bags.poses import BagPoses
 from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import LapTimer
@@ -108,6 +110,8 @@ class FrameProcessor:
         Order of the colour filters of grey frames whose messages name none.
     points : bool
         Whether the results have the colours of point clouds.
+    poses : BagPoses, optional
+        Of the camera.
     """
 
     pipeline: FramePipeline
@@ -119,6 +123,7 @@ class FrameProcessor:
     bits: int = 16
     mosaic: str = ""
     points: bool = False
+    poses: BagPoses | None = None
 
     def prepare(self, data: bytes) -> None:
         """Compute beforehand, with a message of a frame, what the first one would wait for."""
@@ -182,7 +187,11 @@ class FrameProcessor:
         pixel_format = PixelFormat(self.gamma, self.bits, picture.mosaic)
         colour = self.pipeline.deblurs or self.points
         frame = pixel_format.frame(
-            picture.pixels, picture.compression_loss, colour=colour, motion=self.prior
+            picture.pixels,
+            picture.compression_loss,
+            colour=colour,
+            motion=self.prior,
+            pose=self.poses and functools.partial(self.poses.at, picture.stamp_ns),
         )
         return picture, frame
 
@@ -208,7 +217,7 @@ class FrameRecipe:
         Of the whole view, at the scale of the frames.
     view : View
         What the frames show of it.
-    type_name, map_size, gamma, bits, mosaic, points
+    type_name, map_size, gamma, bits, mosaic, points, poses
         See `FrameProcessor`.
     threads : int
         Of the pipeline, if its configuration leaves them open; 0: as many as it chooses.
@@ -225,6 +234,7 @@ class FrameRecipe:
     threads: int
     mosaic: str = ""
     points: bool = False
+    poses: BagPoses | None = None
 
     def make(self) -> FrameProcessor:
         """Return a new processor; an `InputError` if the bank does not suit the frames."""
@@ -248,6 +258,7 @@ class FrameRecipe:
             self.bits,
             self.mosaic,
             self.points,
+            self.poses,
         )
 
 

@@ -16,10 +16,15 @@ from coded_aperture_ros.bags.conversion import BagConversion
 from coded_aperture_ros.bags.many import Job, Outcome, convert_jobs, plan_jobs, write_summary
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.estimation import known_motion, make_pipeline
-from coded_aperture_ros.cli.estimation_arguments import ESTIMATION_RULES, EstimationArguments
+from coded_aperture_ros.cli.estimation_arguments import (
+    ESTIMATION_RULES,
+    FIXED_FRAME,
+    FIXED_FRAME_HELP,
+    EstimationArguments,
+)
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
-from coded_aperture_ros.cli.rules import excludes, required
+from coded_aperture_ros.cli.rules import excludes, only_with, required
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.leftovers import remove_leftovers
@@ -28,6 +33,7 @@ from coded_aperture_ros.core.text import listed
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, no_depth_reason
+from coded_aperture_ros.depth.stages.moving_camera import POSE
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.optics import Camera, load_camera
 from coded_aperture_ros.pipeline import FramePipeline
@@ -44,6 +50,9 @@ _EXAMPLES = """examples:
         --deblur none
   something moves during the exposures:
     coded_aperture bag recording -o moving --bank bank.npz --camera camera.yaml --motion
+  the robot's /tf or odometry tells how the camera has moved:
+    coded_aperture bag recording -o walked --bank bank.npz --camera camera.yaml \\
+        --temporal-frames 8 --moving-camera pose --fixed-frame odom
   many bags, shared by the workers of a Dask scheduler; the same line again goes on where it stood:
     coded_aperture bag drives/* -o results --bank bank.npz --camera camera.yaml \\
         --scheduler tcp://host:8786
@@ -126,6 +135,7 @@ class Arguments(EstimationArguments, PixelArguments):
         "full",
         choices=("full", "half", "quarter", "auto"),
     )
+    fixed_frame: str = argument(FIXED_FRAME_HELP, FIXED_FRAME, written="--fixed-frame NAME")
     json: bool = argument("print the results as JSON", False)
     estimation: DepthConfig = group("estimation", DepthConfig(temporal_frames=VIDEO_FRAMES))
 
@@ -133,6 +143,7 @@ class Arguments(EstimationArguments, PixelArguments):
 _RULES = (
     required("--camera"),
     *ESTIMATION_RULES,
+    only_with("--fixed-frame", "--moving-camera pose"),
     excludes("--deblur none", "--deblur-rank", "--deblur-band"),
 )
 
@@ -162,6 +173,7 @@ def _convert(args: Arguments, source: Path, target: Path, threads: int = 0) -> d
         bits=args.bits,
         mosaic=args.bayer,
         points=args.points,
+        fixed_frame=args.fixed_frame if args.estimation.moving_camera == POSE else "",
         map_size=args.output_size,
         prior=functools.partial(known_motion, args),
         settings=_settings(args),

@@ -30,6 +30,7 @@ from coded_aperture_ros.cli.frames import (
     SkippedInputs,
     named_frames,
 )
+from coded_aperture_ros.cli.poses import with_poses
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray
 from coded_aperture_ros.core.errors import InputError, naming
 from coded_aperture_ros.core.files import Outputs, check_output, output_set
@@ -45,15 +46,12 @@ from coded_aperture_ros.optics.camera_file import camera_files
 from coded_aperture_ros.pipeline import FramePipeline
 
 _SUFFIXES = (".npy", ".tif", ".tiff", ".png")
-_NOT_ASKED = "nothing expected"
 _LOSSY = (
     "%s: compressed with loss: reckoned with noise of about %.4f or more, and less depth is sure: "
     "record pictures without loss, such as PNG"
 )
 # What has moved by this much during the exposure counts as moving.
 _MOVING_PX = 0.5
-# Each frame, what is estimated of it, and how long that took, s.
-Results = Iterator[tuple[NamedFrame, DepthEstimate, float]]
 
 
 def run(args: Arguments) -> int:
@@ -85,6 +83,8 @@ def run(args: Arguments) -> int:
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     with shown as add_to_movie:
         frames = named_frames(args, outputs, skipped, camera)
+        if args.estimation.moving_camera == "pose":
+            frames = with_poses(args, frames)
         for named, estimate, seconds in _estimates(args, pipeline, camera, frames, skipped):
             values = estimate.depth_values(as_levels=args.as_levels)
             if args.pictures or add_to_movie is not None:
@@ -124,7 +124,8 @@ def _check_output(args: Arguments) -> None:
 
 def _files_read(args: Arguments) -> list[Path]:
     """Files that the options name."""
-    given = [Path(path) for path in (args.bank, args.refocused_frame, args.truth) if path]
+    files = args.bank, args.refocused_frame, args.truth, args.poses
+    given = [Path(path) for path in files if path]
     return [*given, *(camera_files(args.camera) if args.camera else ())]
 
 
@@ -134,7 +135,7 @@ def _estimates(
     camera: Camera | None,
     frames: Iterable[NamedFrame],
     skipped: SkippedInputs,
-) -> Results:
+) -> Iterator[tuple[NamedFrame, DepthEstimate, float]]:
     """Yield every frame, what is estimated of it, and how long that took, s; video by video."""
     bank = filter_bank(pipeline.estimator.model)
     motion = known_motion(args, camera)
@@ -239,9 +240,8 @@ def _median(values: FloatArray, known: BoolArray) -> float | None:
 
 def _text(summary: dict[str, Any]) -> str:
     if summary["median"] is None:
-        found = "depth unknown everywhere"
-        if not summary["cause"]:
-            found += " (too dark, saturated, or without texture)"
+        why = "" if summary["cause"] else " (too dark, saturated, or without texture)"
+        found = f"depth unknown everywhere{why}"
     else:
         median = f"{summary['median']:.4g} {summary['unit']}"
         found = f"depth at {100 * summary['known']:.0f} % of the pixels, median {median}"
@@ -249,7 +249,7 @@ def _text(summary: dict[str, Any]) -> str:
             found += f", standard deviation {summary['median_std_dev_m']:.2g} m"
     if "moving" in summary:
         found += f", {100 * summary['moving']:.0f} % moving"
-        if summary["searched"] not in ("", _NOT_ASKED):
+        if summary["searched"] not in ("", "nothing expected"):
             found += f" (all motions tried: {summary['searched']})"
     if "truth" in summary:
         from coded_aperture_ros.cli.depth_truth import truth_text

@@ -4,9 +4,14 @@ import dataclasses
 import textwrap
 
 from coded_aperture_ros.cli.command import argument
-from coded_aperture_ros.cli.estimation_arguments import ESTIMATION_RULES, EstimationArguments
+from coded_aperture_ros.cli.estimation_arguments import (
+    ESTIMATION_RULES,
+    FIXED_FRAME,
+    FIXED_FRAME_HELP,
+    EstimationArguments,
+)
 from coded_aperture_ros.cli.frames import InputArguments
-from coded_aperture_ros.cli.rules import excludes, needs
+from coded_aperture_ros.cli.rules import excludes, needs, only_with
 from coded_aperture_ros.depth import layer_specs
 
 EXAMPLES = """examples:
@@ -18,6 +23,9 @@ EXAMPLES = """examples:
     coded_aperture depth --bank bank.npz --regularize graphcut frames/ -o depth/
   a recorded video, each frame together with those before and after it:
     coded_aperture depth --bank bank.npz --temporal-frames 3 --look-ahead video.avi -o depth/
+  a walk whose way is known, in lines of time, position and quaternion:
+    coded_aperture depth --bank bank.npz --camera camera.yaml --temporal-frames 8 \\
+        --moving-camera pose --poses way.txt frames/ -o depth/
   a mask of a few equal holes, without a bank:
     coded_aperture depth --method two_pixel --camera config/example_camera.yaml \\
         --depth-range 3.5 9 coded.png -o two_pixel.npy
@@ -49,6 +57,16 @@ class Arguments(InputArguments, EstimationArguments):
         "estimated together with those after it, as far as with those before it (default: only "
         "those before it). About 8 N frames are held in memory",
         False,
+    )
+    poses: str | None = argument(
+        "with --moving-camera pose: poses of the camera's optical frame in a fixed one, as text in "
+        "lines of time in s, x y z in m, qx qy qz qw (TUM). Pictures whose names are times, and "
+        "frames with stamps, have theirs interpolated, others a line each. Bags have their own",
+        None,
+        written="--poses FILE",
+    )
+    fixed_frame: str = argument(
+        FIXED_FRAME_HELP, FIXED_FRAME, written="--fixed-frame NAME", daily=False
     )
     as_levels: bool = argument("write fractional level indices instead of metres", False)
     refocused_frame: str | None = argument(
@@ -105,6 +123,9 @@ RULES = (
     *ESTIMATION_RULES,
     needs("--look-ahead", "--temporal-frames"),
     excludes("--look-ahead", "--angular-velocity", note="which is of one frame"),
+    only_with("--poses", "--moving-camera pose"),
+    only_with("--fixed-frame", "--moving-camera pose"),
+    excludes("--poses", "--fixed-frame"),
     needs("--points", "--camera"),
     excludes("--points", "--as-levels"),
     excludes("--truth", "--as-levels"),

@@ -10,6 +10,11 @@ from coded_aperture_ros.likelihood.choose import METHODS
 from coded_aperture_ros.likelihood.motion import MotionConfig
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 
+FIXED_FRAME = "odom"
+FIXED_FRAME_HELP = (
+    "with --moving-camera pose: frame in which the camera moves, as a bag's /tf or "
+    "nav_msgs/Odometry names it"
+)
 _MOTION = "--motion | --method motion"
 _OF_BANK = "a bank has its own, see learn"
 

@@ -5,12 +5,13 @@ from collections.abc import Callable
 
 from nav_msgs.msg import Odometry
 from rclpy.impl.rcutils_logger import RcutilsLogger
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.depth.moving import Place, Step, Trajectory
+from coded_aperture_ros.io.messages import Transforms
 from coded_aperture_ros.ros.messages import odometry_from_place, stamp_ns
-from coded_aperture_ros.ros.transforms import Transforms, listen_to_poses
 
 
 class CameraMotion:
@@ -36,7 +37,7 @@ class CameraMotion:
     def listen(self, listen: Callable[..., None]) -> None:
         """Subscribe to poses; `listen` is that of a `FrameNode`."""
         self._listens = True
-        if missing := listen_to_poses(listen, self._transforms):
+        if missing := _listen_to_poses(listen, self._transforms):
             self._logger.warning(f"poses: of odometry alone, not of tf: no package {missing}")
 
     def forget_poses(self) -> None:
@@ -72,3 +73,24 @@ class CameraMotion:
         if self._place is None:
             return None
         return odometry_from_place(self._place, header, self._since_ns * 1e-9)
+
+
+def _listen_to_poses(listen: Callable[..., None], transforms: Transforms) -> str:
+    """Subscribe to odometry, /tf and /tf_static; return the package that is missing, if one is.
+
+    Parameters
+    ----------
+    listen : callable
+        Of a node: takes a topic, a type, a callback and a QoS profile.
+    transforms : Transforms
+    """
+    many = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    listen("odometry", Odometry, transforms.receive_odometry, many)
+    try:
+        from tf2_msgs.msg import TFMessage
+    except ImportError:
+        return "tf2_msgs"
+    listen("/tf", TFMessage, transforms.receive, many)
+    listen("/tf_static", TFMessage, transforms.receive_static, latched)
+    return ""

@@ -17,6 +17,7 @@ from bag_scene import (
     PERIOD_NS,
     START_NS,
     STORE,
+    TF,
     camera_info,
     compressed,
     decoded,
@@ -27,6 +28,7 @@ from bag_scene import (
     read,
     recording,
     stamp_of,
+    transform,
     write_bag,
 )
 from cli_scene import HEIGHT, WIDTH, call, everything, examples, parsed, refused, wrong_usage
@@ -543,9 +545,11 @@ def test_examples_of_the_help(scene, tmp_path, capsys, monkeypatch):
         (name.replace("/truth/depth", "/ground_truth/depth"), *rest)
         for name, *rest in recording(scene, frames=2)
     ]
+    mounted = transform(0, "odom", FRAME_ID, (0.0, 0.0, 0.0))
+    messages.append(("/tf_static", TF, START_NS, mounted))
     write_bag(tmp_path / "recording", messages)
     shown = [line for line in examples(capsys, "bag") if "--scheduler" not in line]
-    assert len(shown) == 4
+    assert len(shown) == 5
     for arguments in shown:
         fewer = FEW_MOTIONS if "--motion" in arguments else ()
         result = call(capsys, *arguments, *fewer)

@@ -92,8 +92,9 @@ def test_every_example_works_in_a_checkout(tmp_path, capsys, monkeypatch, checko
     )
     second = [word.replace("demo_camera", "refocused_camera") for word in simulate]
     type_in([word.replace("coded.png", "refocused.png") for word in second])
+    Path("way.txt").write_text("".join(f"{i} 0 0 0 0 0 0 1\n" for i in range(9)))
     depth = examples(capsys, "depth")
-    assert len(depth) == 7
+    assert len(depth) == 8
     for arguments in depth:
         type_in(arguments)
     assert np.nanmedian(read_depth("depth.npy")) == pytest.approx(DEPTH_M, rel=0.05)

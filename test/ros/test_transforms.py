@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 from small_camera import DEPTH_M
 from waiting import wait_until
 
-from coded_aperture_ros.ros.transforms import Transforms
+from coded_aperture_ros.io.messages import Transforms
 
 try:
     from tf2_msgs.msg import TFMessage

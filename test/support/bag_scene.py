@@ -15,6 +15,7 @@ from coded_aperture_ros.io.messages import pixels_from_frame
 STORE = get_typestore(Stores.ROS2_JAZZY)
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, STRING = "sensor_msgs/msg/CameraInfo", "std_msgs/msg/String"
+TF = "tf2_msgs/msg/TFMessage"
 PLUGINS = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 SUFFIXES = {"mcap": ".mcap", "sqlite3": ".db3"}
 START_NS, PERIOD_NS = 1_700_000_000_123_456_789, 33_333_333
@@ -66,6 +67,17 @@ def camera_info(index, width, height, focal_length_px, roi=(0, 0, 0, 0)):
         binning_x=0, binning_y=0, roi=region,
     )  # fmt: skip
     return STORE.serialize_cdr(message, CAMERA_INFO)
+
+
+def transform(index, parent, child, place, turn=(0.0, 0.0, 0.0, 1.0)):
+    """Return a message of /tf with one transform."""
+    transform = STORE.types["geometry_msgs/msg/Transform"](
+        translation=STORE.types["geometry_msgs/msg/Vector3"](*place),
+        rotation=STORE.types["geometry_msgs/msg/Quaternion"](*turn),
+    )
+    of_parent = dataclasses.replace(header(index), frame_id=parent)
+    stamped = STORE.types["geometry_msgs/msg/TransformStamped"](of_parent, child, transform)
+    return STORE.serialize_cdr(STORE.types[TF](transforms=[stamped]), TF)
 
 
 def text(words):

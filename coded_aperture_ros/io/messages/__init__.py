@@ -41,6 +41,7 @@ from coded_aperture_ros.io.messages.frames import (
     millimetres_from_depth,
     pixels_from_frame,
 )
+from coded_aperture_ros.io.messages.transforms import Transforms
 
 __all__ = [
     "DEPTH_FORMATS",
@@ -48,6 +49,7 @@ __all__ = [
     "PICTURE_FORMATS",
     "CameraInfos",
     "MessageError",
+    "Transforms",
     "array_from_compressed",
     "array_from_image",
     "check_camera_info",

@@ -7,21 +7,20 @@ on whether its pose has come or not.
 import dataclasses
 import threading
 from bisect import bisect_left
-from collections import deque
-from collections.abc import Callable
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
-from nav_msgs.msg import Odometry
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Header
 
 from coded_aperture_ros.core.arrays import DoubleArray
-from coded_aperture_ros.ros.messages import stamp_ns
+from coded_aperture_ros.io.messages.encodings import stamp_ns
 
 _SECOND_NS = 1_000_000_000
-# Transforms of so long are kept, and times so far beyond the newest are extrapolated, ns.
-_KEPT_NS, _BEYOND_NS = 10 * _SECOND_NS, _SECOND_NS // 10
+# Times so far beyond the newest transform are extrapolated, ns.
+_BEYOND_NS = _SECOND_NS // 10
+# So many transforms more than have to be kept are dropped together.
+_SURPLUS = 1000
 # A chain of more frames than this is a circle.
 _LONGEST_CHAIN = 100
 
@@ -49,54 +48,103 @@ class _Transform:
 class Transforms:
     """Transforms of the last seconds; safe to use from several threads.
 
+    Parameters
+    ----------
+    kept_s : float
+        How old they may become, s.
+
     Examples
     --------
-    >>> from nav_msgs.msg import Odometry
-    >>> message = Odometry(child_frame_id="base_link")
-    >>> message.header.frame_id, message.pose.pose.position.x = "odom", 0.2
     >>> transforms = Transforms()
-    >>> transforms.receive_odometry(message)
+    >>> transforms.keep("odom", "base_link", 0, (0.2, 0, 0), (0, 0, 0, 1))
     >>> transforms.pose("odom", "base_link", 0)[:3, 3].tolist()
     [0.2, 0.0, 0.0]
     """
 
-    def __init__(self) -> None:
+    def __init__(self, kept_s: float = 10.0) -> None:
         self._lock = threading.Lock()
+        self._kept_ns = kept_s * _SECOND_NS
         self._static: dict[str, _Transform] = {}
-        self._moving: dict[str, deque[_Transform]] = {}
+        self._moving: dict[str, list[_Transform]] = {}
+
+    @property
+    def frames(self) -> list[str]:
+        """Names of all frames, in alphabetical order."""
+        parents = self._parents()
+        return sorted({*parents, *parents.values()})
+
+    def connects(self, fixed_frame: str, frame: str) -> bool:
+        """Whether a frame's place in a fixed one is known at some time."""
+        parents, above = self._parents(), []
+        for start in (fixed_frame, frame):
+            names = [start.lstrip("/")]
+            while names[-1] in parents and len(names) < _LONGEST_CHAIN:
+                names.append(parents[names[-1]])
+            above.append(set(names))
+        return bool(above[0] & above[1])
+
+    def add_missing(self, others: "Transforms") -> None:
+        """Add the moving frames of others that are not here."""
+        with self._lock:
+            self._moving = others._moving | self._moving
+
+    def _parents(self) -> dict[str, str]:
+        with self._lock:
+            moving = {child: kept[-1].parent for child, kept in self._moving.items()}
+            return moving | {child: each.parent for child, each in self._static.items()}
+
+    def keep(
+        self, parent: str, child: str, at_ns: int, place: Sequence[float], turn: Sequence[float]
+    ) -> None:
+        """Keep a transform from a child frame to its parent.
+
+        What comes late, or again, or is no transform, is left out.
+
+        Parameters
+        ----------
+        parent, child : str
+            With or without a slash before the name.
+        at_ns : int
+            Stamp, ns.
+        place : 3 numbers
+            Of the child in the parent, m.
+        turn : 4 numbers
+            Unit quaternion, x, y, z, w.
+        """
+        transform = _transform(parent, at_ns, place, turn)
+        if transform is None:
+            return
+        with self._lock:
+            kept = self._moving.setdefault(child.lstrip("/"), [])
+            # What comes late is between others that are known.
+            if kept and transform.stamp_ns <= kept[-1].stamp_ns:
+                return
+            kept.append(transform)
+            oldest_ns = transform.stamp_ns - self._kept_ns
+            if len(kept) > _SURPLUS and kept[_SURPLUS].stamp_ns < oldest_ns:
+                del kept[: bisect_left(kept, oldest_ns, key=attrgetter("stamp_ns"))]
 
     def receive(self, message: Any) -> None:
         """Keep the transforms of a `tf2_msgs/TFMessage` on /tf."""
         for each in message.transforms:
             moved = each.transform
-            self._keep(
-                each.child_frame_id, _transform(each.header, moved.translation, moved.rotation)
-            )
+            self._receive(each, moved.translation, moved.rotation)
 
     def receive_odometry(self, message: Any) -> None:
         """Keep the pose of a `nav_msgs/Odometry`."""
-        pose = message.pose.pose
-        self._keep(
-            message.child_frame_id, _transform(message.header, pose.position, pose.orientation)
-        )
+        self._receive(message, message.pose.pose.position, message.pose.pose.orientation)
 
-    def _keep(self, child: str, transform: _Transform | None) -> None:
-        if transform is None:
-            return
-        with self._lock:
-            kept = self._moving.setdefault(child.lstrip("/"), deque())
-            # What comes late, or again, is left out: it is between others that are known.
-            if kept and transform.stamp_ns <= kept[-1].stamp_ns:
-                return
-            kept.append(transform)
-            while transform.stamp_ns - kept[0].stamp_ns > _KEPT_NS:
-                kept.popleft()
+    def _receive(self, message: Any, place: Any, turn: Any) -> None:
+        header = message.header
+        names = header.frame_id, message.child_frame_id
+        self.keep(*names, stamp_ns(header), *_numbers(place, turn))
 
     def receive_static(self, message: Any) -> None:
         """Keep the transforms of a `tf2_msgs/TFMessage` on /tf_static."""
         for each in message.transforms:
             moved = each.transform
-            transform = _transform(each.header, moved.translation, moved.rotation)
+            numbers = _numbers(moved.translation, moved.rotation)
+            transform = _transform(each.header.frame_id, 0, *numbers)
             if transform is not None:
                 with self._lock:
                     self._static[each.child_frame_id.lstrip("/")] = transform
@@ -145,9 +193,8 @@ class Transforms:
         kept = self._moving.get(child)
         if not kept or at_ns < kept[0].stamp_ns or at_ns > kept[-1].stamp_ns + _BEYOND_NS:
             return None
-        stamps = [transform.stamp_ns for transform in kept]
-        after = bisect_left(stamps, at_ns)
-        if len(kept) == 1 or (after < len(kept) and stamps[after] == at_ns):
+        after = bisect_left(kept, at_ns, key=attrgetter("stamp_ns"))
+        if len(kept) == 1 or (after < len(kept) and kept[after].stamp_ns == at_ns):
             return kept[min(after, len(kept) - 1)]
         after = min(max(after, 1), len(kept) - 1)
         return _between(kept[after - 1], kept[after], at_ns)
@@ -162,32 +209,17 @@ def _between(before: _Transform, after: _Transform, at_ns: int) -> _Transform:
     return _Transform(at_ns, after.parent, place, turn / np.linalg.norm(turn))
 
 
-def _transform(header: Header, place: Any, turn: Any) -> _Transform | None:
+def _numbers(place: Any, turn: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Numbers of messages of a point and a quaternion."""
+    return (place.x, place.y, place.z), (turn.x, turn.y, turn.z, turn.w)
+
+
+def _transform(
+    parent: str, at_ns: int, place: Sequence[float], turn: Sequence[float]
+) -> _Transform | None:
     """Transform of a position and a quaternion; None if they are none."""
-    values = np.array([place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w], np.float64)
+    values = np.array([*place, *turn], np.float64)
     length = np.linalg.norm(values[3:])
     if not np.isfinite(values).all() or not 0.9 < length < 1.1:
         return None
-    parent = header.frame_id.lstrip("/")
-    return _Transform(stamp_ns(header), parent, values[:3], values[3:] / length)
-
-
-def listen_to_poses(listen: Callable[..., None], transforms: Transforms) -> str:
-    """Subscribe to odometry, /tf and /tf_static; return the package that is missing, if one is.
-
-    Parameters
-    ----------
-    listen : callable
-        Of a node: takes a topic, a type, a callback and a QoS profile.
-    transforms : Transforms
-    """
-    many = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
-    latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    listen("odometry", Odometry, transforms.receive_odometry, many)
-    try:
-        from tf2_msgs.msg import TFMessage
-    except ImportError:
-        return "tf2_msgs"
-    listen("/tf", TFMessage, transforms.receive, many)
-    listen("/tf_static", TFMessage, transforms.receive_static, latched)
-    return ""
+    return _Transform(at_ns, parent.lstrip("/"), values[:3], values[3:] / length)
