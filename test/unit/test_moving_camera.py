@@ -1,5 +1,6 @@
 """What a moving camera's past frames tell: motion, parallax, belief; poses that are wrong."""
 
+import types
 from itertools import pairwise
 
 import numpy as np
@@ -7,11 +8,14 @@ import pytest
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Trajectory
+from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Step, Trajectory
 from coded_aperture_ros.depth.moving.carrying import carried
+from coded_aperture_ros.depth.moving.clearance import clearance_m
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
+from coded_aperture_ros.depth.stages.free_space import FreeSpace
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
@@ -265,6 +269,20 @@ def test_what_nobody_knows_changes_nothing(order):
         np.testing.assert_array_equal(getattr(both, name), getattr(known, name))
 
 
+def test_what_frames_have_shown_to_be_free():
+    """Behind no edge, only where all around is sure, and nearer than what is believed."""
+    _, depth = seen(WAY[0])
+    inverse, variance = (1 / depth).astype(np.float32), np.full(depth.shape, 1e-6, np.float32)
+    sure = np.full(depth.shape, 0.95, np.float32)
+    sure[:, :80] = 0.5
+    clear = clearance_m(Belief(inverse, variance, sure))
+    assert (clear[:, :84] == 0).all() and (clear[:, 85:] > 0).all()
+    assert (clear < depth).all()
+    assert clear[10, 150] > 0.9 * WALL_M
+    beside_box = np.flatnonzero(depth[60] < 2)[-1] + 3
+    assert depth[60, beside_box] > 2 and clear[60, beside_box] < BOX_M
+
+
 CAMERA = Camera(150.0, 0.9, 160, 120, Mask.named("levin"), 60.0)
 
 
@@ -307,6 +325,30 @@ def fine_bank():
 
 
 NARROW = Camera(300.0, 0.9, 160, 120, Mask.named("levin"), 60.0)
+
+
+def test_past_frames_make_more_of_the_space_free(fine_bank):
+    """Frames are sharp here: only what the stage is handed counts."""
+    config = DepthConfig(temporal_frames=8, moving_camera="pose", check_fit=False)
+    levels = Levels.from_model(fine_bank, NARROW)
+    work = DepthEstimator(fine_bank, config, NARROW).begin(Frame(seen(WAY[0])[0]))
+    work.level = np.full((120, 160), 20.0, np.float32)
+    work.doubted = np.zeros((120, 160), np.bool_)
+    work.doubted[:60] = True
+    work.decoded = types.SimpleNamespace(
+        nearest_around=lambda share: np.full((120, 160), 10.0, np.float32)
+    )
+    depth_m = levels.depth_m(work.level)
+    belief = Belief(*(np.full((60, 80), v, np.float32) for v in (1 / depth_m[0, 0], 1e-6, 0.95)))
+    bounds = []
+    for step in (None, Step(belief, np.eye(4), begun=True), Step(belief, np.eye(4))):
+        work.camera_step = step
+        FreeSpace(levels, 0.01)(work)
+        bounds.append(work.layers["free_space"].values)
+    np.testing.assert_array_equal(bounds[0], bounds[1])
+    np.testing.assert_array_equal(bounds[0][:60], bounds[2][:60])
+    assert (bounds[2][60:] > 1.1 * bounds[0][60:]).all()
+    assert (bounds[2][60:] < depth_m[60:]).all()
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,15 @@
 
 import dataclasses
 
+import cv2
 import numpy as np
 
+from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
+from coded_aperture_ros.depth.moving.clearance import clearance_m
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
 FREE_SPACE = LayerSpec(
@@ -62,4 +65,14 @@ class FreeSpace(Stage):
             bound = np.where(work.doubted, bound, self.levels.nearer(work.level, nearest))
         bound_m = self.levels.depth_m(bound)
         if bound_m is not None:
-            work.add_layer(FREE_SPACE, bound_m)
+            work.add_layer(FREE_SPACE, self._with_past(work, bound_m))
+
+    def _with_past(self, work: Work, bound_m: FloatArray) -> FloatArray:
+        """Bound, as much farther as the frames of a moving camera have shown it to be free."""
+        step, depth_m = work.camera_step, self.levels.depth_m(work.level)
+        if step is None or step.begun or depth_m is None:
+            return bound_m
+        clear_m = clearance_m(step.belief)
+        clear_m = cv2.resize(clear_m, bound_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        clear_m = np.maximum(bound_m, np.minimum(clear_m, depth_m))
+        return np.asarray(np.where(work.doubted, bound_m, clear_m), np.float32)
