@@ -20,7 +20,9 @@ version = release = re.search(
     r'^__version__ = "(.+)"$', (ROOT / project / "__init__.py").read_text(), re.MULTILINE
 )[1]
 
-extensions = ["myst_parser", "numpydoc", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+# rosdoc2 brings its own set of packages, without furo and numpydoc.
+docstrings = "numpydoc" if find_spec("numpydoc") else "sphinx.ext.napoleon"
+extensions = ["myst_parser", docstrings, "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 if find_spec("sphinx_gallery"):  # nor this one: then the page of the examples has none
     extensions.append("sphinx_gallery.gen_gallery")
 sphinx_gallery_conf = {
@@ -35,7 +37,6 @@ sphinx_gallery_conf = {
 }
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_build"]
-# rosdoc2 brings its own set of packages, without furo.
 html_theme = "furo" if find_spec("furo") else "alabaster"
 html_title = f"{project} {version}"
 

@@ -57,6 +57,40 @@ def repository(folder: Path) -> Finding:
     return ("repository", WRONG if other else OK, said)
 
 
+def bugtracker(folder: Path) -> Finding:
+    """Look in package.xml for where faults are reported."""
+    found = {url.get("type") for url in ElementTree.parse(folder / "package.xml").iter("url")}
+    if "bugtracker" in found:
+        return ("bugtracker", OK, "named")
+    return ("bugtracker", MAINTAINER, 'put its address into package.xml (url type="bugtracker")')
+
+
+def security(folder: Path) -> Finding:
+    """Look for an address for reports of vulnerabilities."""
+    if (folder / "SECURITY.md").is_file():
+        return ("security", OK, "SECURITY.md")
+    said = "write SECURITY.md with an address for reports of vulnerabilities"
+    return ("security", MAINTAINER, said)
+
+
+def manifest(folder: Path) -> Finding:
+    """Look for what bloom needs of package.xml."""
+    package = ElementTree.parse(folder / "package.xml").getroot()
+    wrong = []
+    if package.get("format") != "3":
+        wrong.append(f"format {package.get('format')}, expected 3")
+    if package.findtext("export/build_type") != "ament_python":
+        wrong.append("no build_type ament_python in export")
+    twice = [entry for entry in _dependencies(package) if _dependencies(package).count(entry) > 1]
+    if twice:
+        wrong.append(f"named twice: {', '.join(sorted(set(twice)))}")
+    return ("manifest", WRONG if wrong else OK, "; ".join(wrong) or "package.xml, format 3")
+
+
+def _dependencies(package: ElementTree.Element) -> list[str]:
+    return [f"{entry.tag} {entry.text}" for entry in package if entry.tag.endswith("depend")]
+
+
 def changelog(folder: Path) -> Finding:
     """Look for a section of this version in the changelog, as bloom will."""
     version = version_of(folder)
@@ -93,13 +127,15 @@ def tag(folder: Path) -> Finding:
     result = subprocess.run(command, capture_output=True, text=True, check=False)
     if result.stdout.strip():
         return ("tag", OK, version)
-    return ("tag", MAINTAINER, f"git tag {version}, once all else is done")
+    said = f"git tag {version}, then bloom-release coded_aperture_ros, once all else is done"
+    return ("tag", MAINTAINER, said)
 
 
 def main() -> int:
     """Print all findings; return the exit status."""
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else ".")
-    checks = (versions, licence, tree, maintainer, repository, changelog, tag)
+    needed = (versions, licence, manifest, tree)
+    checks = (*needed, maintainer, repository, bugtracker, security, changelog, tag)
     findings = [check(folder) for check in checks]
     for name, state, said in findings:
         print(f"[{state:^10}] {name}: {said}")

@@ -77,6 +77,14 @@ def test_manifest_is_valid(checkout):
     assert package.licenses == ["Apache-2.0"]
 
 
+def test_the_quality_declaration_names_the_dependencies(checkout, manifest):
+    text = (checkout / "QUALITY_DECLARATION.md").read_text()
+    (row,) = re.findall(r"^\| 5 dependencies \|(.*)$", text, re.MULTILINE)
+    used = {element.text.removeprefix("python3-") for element in manifest.iter("exec_depend")}
+    messages = {name for name in used if name.endswith(("_msgs", "_interfaces"))}
+    assert {name for name in used - messages if not re.search(rf"\b{name}\b", row)} == set()
+
+
 def test_manifest_names_every_package_that_the_code_imports(checkout, manifest):
     """A robot gets its dependencies from package.xml alone, by rosdep."""
     apt_names = {

@@ -24,10 +24,9 @@ def change(path, pattern, text):
 
 def test_only_a_maintainer_can_supply_what_is_missing(release):
     script, folder = release
-    states = {name: script[name](folder)[1] for name in ("versions", "licence")}
-    assert states == {"versions": "ok", "licence": "ok"}
-    assert script["maintainer"](folder)[1] in ("ok", "maintainer")
-    assert script["changelog"](folder)[1] in ("ok", "maintainer")
+    assert {script[name](folder)[1] for name in ("versions", "licence", "manifest")} == {"ok"}
+    left = ("maintainer", "bugtracker", "security", "changelog")
+    assert {script[name](folder)[1] for name in left} <= {"ok", "maintainer"}
 
 
 def test_other_versions_are_named(release):
@@ -63,6 +62,29 @@ def test_another_licence_is_wrong(release):
     script, folder = release
     (folder / "LICENSE").write_text("All rights reserved")
     assert script["licence"](folder)[1] == "WRONG"
+
+
+@pytest.mark.parametrize(
+    ("pattern", "text", "said"),
+    [
+        ('format="3"', 'format="2"', "format 2, expected 3"),
+        ("ament_python<", "ament_cmake<", "no build_type ament_python in export"),
+        ("(<exec_depend>rclpy.*)", r"\1\1", "named twice: exec_depend rclpy"),
+    ],
+)
+def test_a_manifest_that_bloom_would_not_take_is_told(release, pattern, text, said):
+    script, folder = release
+    change(folder / "package.xml", pattern, text)
+    assert script["manifest"](folder) == ("manifest", "WRONG", said)
+
+
+def test_addresses_are_the_maintainers(release):
+    script, folder = release
+    assert [script[name](folder)[1] for name in ("bugtracker", "security")] == ["maintainer"] * 2
+    url = '<url type="bugtracker">https://tracker.example</url>'
+    change(folder / "package.xml", "(  <author>)", url + r"\1")
+    (folder / "SECURITY.md").write_text("Write to security@robots.example.")
+    assert [script[name](folder)[1] for name in ("bugtracker", "security")] == ["ok"] * 2
 
 
 def test_a_folder_that_is_no_checkout_is_told(release):
