@@ -6,7 +6,7 @@ Deblurring takes away the blur of every pixel's depth. ``fast`` suits video, ``s
 """
 
 # %%
-# A random scene of textured surfaces, so that the sharp picture is known: blur of 2 to 20 pixels
+# A random scene of textured surfaces, so that the sharp picture is known: blur of 3 to 16 pixels
 # of Levin's mask, and the noise of a good sensor.
 import time
 

@@ -51,6 +51,8 @@ axes[0].set_title("frame")
 for axis, title, values in zip(axes[1:], ("true", "found"), (true_m, depth_m)):
     shown = axis.imshow(1 / values, "turbo", vmin=0.5, vmax=2)
     axis.set_title(f"{title}, 1 / depth")
+for axis in axes:
+    axis.axis("off")
 fig.colorbar(shown, ax=axes[1:], label="1/m")
 known = np.isfinite(depth_m)
 right = np.abs(depth_m - true_m)[known] < 0.1 * true_m[known]

@@ -15,10 +15,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import coded_aperture_ros as ca
-from coded_aperture_ros.bags.recording import record_views
-from coded_aperture_ros.depth.points import points_of_frame
+from coded_aperture_ros.bags import record_views
+from coded_aperture_ros.depth import points_of_frame
 from coded_aperture_ros.frames import PixelFormat
-from coded_aperture_ros.io.points_file import write_points
+from coded_aperture_ros.io import write_points
 from coded_aperture_ros.simulation import demo_scene
 from coded_aperture_ros.sources import captures, open_files
 

@@ -90,7 +90,7 @@ def _made(folder: Path) -> Iterator[list[str]]:
     (folder / "planes" / "planes.json").write_text(json.dumps(entries, indent=1) + "\n")
     yield ["planes"]
     # rosbags is an extra.
-    from coded_aperture_ros.bags.recording import record_views
+    from coded_aperture_ros.bags import record_views
 
     record_views(folder / "recording", camera, views, _RATE_HZ)
     yield ["recording"]

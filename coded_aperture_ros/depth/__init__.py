@@ -15,7 +15,7 @@ from coded_aperture_ros.depth.focus_pair import FocusPair
 from coded_aperture_ros.depth.layer import Layer, LayerSpec
 from coded_aperture_ros.depth.levels import Levels, depths_are_measured
 from coded_aperture_ros.depth.map_size import MAP_SIZES, map_size
-from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth
+from coded_aperture_ros.depth.points import nearest_obstacle_m, points_of_depth, points_of_frame
 from coded_aperture_ros.depth.quality import CAUSE_TEXTS, CAUSES, Health, no_depth_reason
 from coded_aperture_ros.depth.range_check import (
     blur_sizes_px,
@@ -48,6 +48,7 @@ __all__ = [
     "nearest_obstacle_m",
     "no_depth_reason",
     "points_of_depth",
+    "points_of_frame",
     "range_complaint",
     "refinement_note",
     "side_warning",

@@ -14,6 +14,7 @@ from coded_aperture_ros.io.picture_file import (
     write_depth,
     write_image,
 )
+from coded_aperture_ros.io.points_file import write_points
 
 __all__ = [
     "PICTURE_SUFFIXES",
@@ -26,4 +27,5 @@ __all__ = [
     "read_image",
     "write_depth",
     "write_image",
+    "write_points",
 ]
