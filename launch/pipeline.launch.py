@@ -58,7 +58,7 @@ ARGUMENTS = (
     ("camera_name", CAMERA_NAME, "Namespace of the camera's nodes, begins its frames; /: none"),
     ("camera_namespace", "", "Namespace around it, such as the robot's"),
     ("odom_topic", "odometry", "Topic of the robot's odometry, for temporal.moving_camera:=pose"),
-    ("imu_topic", "imu", "Topic of the robot's gyroscope, for method: motion"),
+    ("imu_topic", "imu", "Topic of a gyroscope, for method: motion or moving_camera: gyro"),
     ("composed", "false", "All nodes in one process"),
     ("settings_file", "", "Parameter file of a launch file that includes this one"),
     ("params_file", "", "Parameter file that wins over everything else"),

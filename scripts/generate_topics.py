@@ -68,7 +68,7 @@ _MEANING = {
     "/tf_static": "Where the camera is on the robot.",
     "/tf": "Poses of the robot.",
     "/diagnostics": "Rate, latency, faults, and whether frames fit the bank.",
-    "imu": "Angular velocity from a gyroscope.",
+    "imu": "Angular velocity from a gyroscope, with `temporal.moving_camera:=gyro`, too.",
     "odometry": "Pose of the robot.",
     "rgbd/image": "Pictures to be coded, in linear light.",
     "rgbd/depth": "Depth of these pictures, m.",

@@ -22,6 +22,7 @@ from coded_aperture_ros.cli.estimation_arguments import (
     FIXED_FRAME_HELP,
     EstimationArguments,
 )
+from coded_aperture_ros.cli.poses import check_no_gyroscope
 from coded_aperture_ros.cli.reading import PixelArguments
 from coded_aperture_ros.cli.results import Summary, input_files, print_summary
 from coded_aperture_ros.cli.rules import excludes, only_with, required
@@ -150,6 +151,7 @@ _RULES = (
 
 def run(args: Arguments) -> int:
     """Write the new bag, or bags; return the exit status."""
+    check_no_gyroscope(args.estimation)
     if len(args.inputs) > 1 or args.scheduler:
         return _convert_all(args)
     source = Path(args.inputs[0])

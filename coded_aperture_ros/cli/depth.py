@@ -83,7 +83,7 @@ def run(args: Arguments) -> int:
     shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
     with shown as add_to_movie:
         frames = named_frames(args, outputs, skipped, camera)
-        if args.estimation.moving_camera == "pose":
+        if args.estimation.moving_camera in ("pose", "gyro"):
             frames = with_poses(args, frames)
         for named, estimate, seconds in _estimates(args, pipeline, camera, frames, skipped):
             values = estimate.depth_values(as_levels=args.as_levels)

@@ -8,10 +8,13 @@ from pathlib import Path
 
 from coded_aperture_ros.bags import is_bag
 from coded_aperture_ros.bags.poses import BagPoses
+from coded_aperture_ros.cli.command import UsageError
 from coded_aperture_ros.cli.depth_arguments import Arguments
 from coded_aperture_ros.cli.frames import NamedFrame
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth.stages.moving_camera import GYRO
 from coded_aperture_ros.io.pose_file import PoseFile
 
 _SECOND_NS = 1e9
@@ -27,6 +30,7 @@ def with_poses(args: Arguments, frames: Iterable[NamedFrame]) -> Iterator[NamedF
     InputError
         If the file of poses, or the bag, has none for them.
     """
+    check_no_gyroscope(args.estimation)
     of_file = _of_file(PoseFile(args.poses)) if args.poses else None
     for _, video in groupby(frames, key=lambda named: named.video):
         poses = of_file
@@ -34,6 +38,14 @@ def with_poses(args: Arguments, frames: Iterable[NamedFrame]) -> Iterator[NamedF
             poses = poses or _of_bag(named.given, args.fixed_frame)
             pose = partial(poses, named, index)
             yield dataclasses.replace(named, frame=dataclasses.replace(named.frame, pose=pose))
+
+
+def check_no_gyroscope(config: DepthConfig) -> None:
+    """Raise a `UsageError` if a gyroscope is wanted, which only nodes listen to."""
+    if config.moving_camera == GYRO:
+        raise UsageError(
+            "--moving-camera gyro: only depth_node listens to a gyroscope, take frames or pose"
+        )
 
 
 def _of_file(file: PoseFile) -> Poses:

@@ -49,8 +49,8 @@ class Frame:
         A frame of the same view with the lens focused elsewhere; see `FocusPair`.
     pose : callable or None
         Gives what turns points of the camera's optical frame into those of a fixed one, metres,
-        float64 [4, 4]; or None, where it is unknown. It is asked when the pose is needed: on a
-        robot it may come a little after the frame.
+        float64 [4, 4]; or None, where it is unknown. The last column is NaN where only the turn is
+        known. It is asked when the pose is needed: on a robot it may come a little after the frame.
 
     Examples
     --------

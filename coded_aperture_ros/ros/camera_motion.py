@@ -13,6 +13,9 @@ from coded_aperture_ros.depth.moving import Place, Step, Trajectory
 from coded_aperture_ros.io.messages import Transforms
 from coded_aperture_ros.ros.messages import odometry_from_place, stamp_ns
 
+# For topics of which no message may be missed, and many come between two frames.
+MANY = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
+
 
 class CameraMotion:
     """Poses for frames, and odometry of what the frames tell.
@@ -84,13 +87,12 @@ def _listen_to_poses(listen: Callable[..., None], transforms: Transforms) -> str
         Of a node: takes a topic, a type, a callback and a QoS profile.
     transforms : Transforms
     """
-    many = QoSProfile(depth=100, reliability=ReliabilityPolicy.BEST_EFFORT)
     latched = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    listen("odometry", Odometry, transforms.receive_odometry, many)
+    listen("odometry", Odometry, transforms.receive_odometry, MANY)
     try:
         from tf2_msgs.msg import TFMessage
     except ImportError:
         return "tf2_msgs"
-    listen("/tf", TFMessage, transforms.receive, many)
+    listen("/tf", TFMessage, transforms.receive, MANY)
     listen("/tf_static", TFMessage, transforms.receive_static, latched)
     return ""

@@ -54,7 +54,7 @@ from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.distortion import pixel_rays
 from coded_aperture_ros.pipeline import FramePipeline
 from coded_aperture_ros.ros.camera_model import CameraModel
-from coded_aperture_ros.ros.camera_motion import CameraMotion
+from coded_aperture_ros.ros.camera_motion import MANY, CameraMotion
 from coded_aperture_ros.ros.diagnostics import Complaint
 from coded_aperture_ros.ros.drift import NodeDrift
 from coded_aperture_ros.ros.frame_model import FrameModel, ModelConfig
@@ -159,9 +159,9 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._restarting = threading.Event()
         self._pipeline: FramePipeline | None = None
         self.listen_to_frames("image_raw", self._on_image)
-        if self._finds_motion:
-            self.listen("imu", Imu, self._gyro.receive)
-        if self._takes_poses:
+        if self._finds_motion or self._told_by == moving_camera.GYRO:
+            self.listen("imu", Imu, self._gyro.receive, MANY)
+        if self._told_by == moving_camera.POSE:
             self._camera_motion.listen(self.listen)
         self.begin()
 
@@ -170,8 +170,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         return self.configs[DepthNodeConfig].method == "motion"
 
     @property
-    def _takes_poses(self) -> bool:
-        return self.configs[DepthConfig].moving_camera == moving_camera.POSE
+    def _told_by(self) -> str:
+        return self.configs[DepthConfig].moving_camera
 
     def load(self) -> None:
         """Load the camera file and load or learn the bank."""
@@ -274,8 +274,11 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             intrinsics = self._model.camera.intrinsics
             motion = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
         pose = None
-        if self._takes_poses:
+        if self._told_by == moving_camera.POSE:
             pose = self._camera_motion.pose_of(header, self.configs[DepthNodeConfig].fixed_frame)
+        elif self._told_by == moving_camera.GYRO:
+            gyro = self.configs[GyroConfig]
+            pose = functools.partial(self._gyro.pose, stamp_ns(header), gyro)
         return dataclasses.replace(frame, view=view, motion=motion, pose=pose)
 
     @property

@@ -7,8 +7,10 @@ from collections import deque
 from sensor_msgs.msg import Imu
 from std_msgs.msg import Header
 
+from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.options import check_options, option
 from coded_aperture_ros.frames import ExpectedMotion
+from coded_aperture_ros.io.messages import Turns
 from coded_aperture_ros.optics import Intrinsics
 from coded_aperture_ros.optics.rotation import expected_motion, parse_imu_axes
 from coded_aperture_ros.ros.messages import stamp_ns
@@ -43,17 +45,26 @@ class Gyro:
         self._lock = threading.Lock()
         # Stamps, ns, and angular velocities, rad/s.
         self._rates: deque[tuple[int, tuple[float, float, float]]] = deque(maxlen=_KEPT_MESSAGES)
+        self._turns = Turns()
 
     def receive(self, message: Imu) -> None:
         """Keep a message."""
         rate = message.angular_velocity
         with self._lock:
             self._rates.append((stamp_ns(message.header), (rate.x, rate.y, rate.z)))
+            self._turns.add(*self._rates[-1])
 
     def forget(self) -> None:
         """Forget all messages, for example after the clock has jumped back."""
         with self._lock:
             self._rates.clear()
+            self._turns = Turns()
+
+    def pose(self, at_ns: int, config: GyroConfig) -> DoubleArray | None:
+        """Turn of the camera at a stamp, as `Frame.pose` has it; None if it is not known."""
+        with self._lock:
+            turns = self._turns
+        return turns.pose(at_ns, config.imu_axes)
 
     def expected(
         self, header: Header, config: GyroConfig, intrinsics: Intrinsics

@@ -155,6 +155,13 @@ def test_pictures_have_the_poses_of_a_file(scene, tmp_path, capsys, told, names)
     assert ("no pose at 7.1" if "." in names[0] else "is frame 2") in done.err
 
 
+def test_commands_have_no_gyroscope(scene, tmp_path, capsys):
+    gyro = ("--temporal-frames", 4, "--moving-camera", "gyro", "--bank", scene.bank)
+    for command in ("bag", "depth"):
+        given = (command, scene.coded_npy, "-o", tmp_path / "x.npy", "--camera", scene.camera)
+        wrong_usage(call(capsys, *given, *gyro), command, "gyro: only depth_node")
+
+
 def test_pictures_need_a_file_of_poses(scene, tmp_path, capsys):
     model = ("--bank", scene.bank, "--camera", scene.camera)
     given = scene.coded_npy, "-o", tmp_path / "x.npy"

@@ -52,6 +52,22 @@ def test_the_message_nearest_in_time_counts_and_its_axes_are_turned():
     )
 
 
+def test_turns_are_added_up_and_have_no_place():
+    gyro = Gyro()
+    assert gyro.pose(0, GyroConfig()) is None
+    for nanoseconds in range(0, 200_000_001, 10_000_000):
+        gyro.receive(said(nanoseconds, z=2.0))
+    gyro.receive(said(100_000_000, z=9.0))  # late
+    first, second = (gyro.pose(stamp, GyroConfig()) for stamp in (15_000_000, 115_000_000))
+    assert np.isnan(second[:3, 3]).all()
+    turned = first[:3, :3].T @ second[:3, :3]
+    # To the left, around the camera's axis that points down, by 0.2 rad.
+    assert turned[2] == pytest.approx([math.sin(0.2), 0, math.cos(0.2)], abs=1e-4)
+    assert gyro.pose(400_000_000, GyroConfig()) is None
+    gyro.forget()
+    assert gyro.pose(100_000_000, GyroConfig()) is None
+
+
 @pytest.mark.parametrize(
     ("message", "exposure_s", "reason"),
     [

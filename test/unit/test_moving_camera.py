@@ -169,6 +169,32 @@ def test_a_wrong_pose_is_refused_and_forgotten(wrong):
     assert (errors[4:] < 0.9 * alone[4:]).all()
 
 
+def turns(way):
+    """Poses of which only the turn is known, as by a gyroscope that began some other way round."""
+    found = [moved(yaw=0.7) @ pose for pose in way]
+    for pose in found:
+        pose[:3, 3] = np.nan
+    return found
+
+
+def test_turns_alone_help_to_find_the_motion():
+    quick = [moved(0.03 * i, 0, 0, 0.2 * (i % 2)) for i in range(6)]
+    found = np.linalg.inv(quick[0]) @ quick[-1]
+    off = []
+    for told in (turns(quick), None):
+        steps, *_ = walk(told, way=quick)
+        assert not any(step.refused for step in steps)
+        off.append(np.abs(steps[-1].pose[:3, :3] - found[:3, :3]).max())
+    assert off[0] < 0.01 and off[0] < off[1]
+
+
+def test_turns_that_are_wrong_are_refused():
+    told = turns([pose @ moved(yaw=0.1 * (index > 4)) for index, pose in enumerate(WAY)])
+    steps, errors, alone = walk(told)
+    assert [step.refused for step in steps] == [False] * 5 + [True] + [False] * 2
+    assert (errors[5:] < 0.9 * alone[5:]).all()
+
+
 def test_poses_of_the_frame_before_are_refused():
     steps, errors, alone = walk([WAY[0], *WAY[:-1]])
     assert steps[1].refused

@@ -61,6 +61,27 @@ class Motion:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
+class Turn:
+    """Rotation between two views that is known beforehand.
+
+    Attributes
+    ----------
+    matrix : ndarray, float64 [3, 3]
+    deviation : float
+        Standard deviation around each axis, rad.
+    """
+
+    matrix: DoubleArray
+    deviation: float
+
+    def add_to(self, information: DoubleArray, pull: DoubleArray, matrix: DoubleArray) -> None:
+        """Add to the normal equations [6, 6] and [6] of a change of a motion [4, 4]."""
+        weight = (_COMMON / self.deviation) ** 2
+        information[3:, 3:] += weight * np.eye(3)
+        pull[3:] += weight * cv2.Rodrigues(self.matrix @ matrix[:3, :3].T)[0].ravel()
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
 class Landmarks:
     """Points of a frame that can be found again.
 
@@ -165,21 +186,21 @@ class Found:
         )
         return cls(seen, pixels[found], float(found.mean()))
 
-    def motion(self, view: Pinhole, guess: DoubleArray) -> Motion | None:
+    def motion(self, view: Pinhole, guess: DoubleArray, turn: Turn | None = None) -> Motion | None:
         """Motion since the frame of the landmarks; None if too few points agree.
 
         A guess [4, 4] from which they all but agree is where it begins.
         """
-        near = self.improved(guess, view)
+        near = self.improved(guess, view, turn)
         if near.misfit < _GOOD_MISFIT and near.share > _GOOD_SHARE:
             return near
         begin = _beginning(self.landmarks, self.pixels, view)
-        motion = None if begin is None else self.improved(begin, view)
+        motion = None if begin is None else self.improved(begin, view, turn)
         return motion if motion is not None and motion.misfit < _MOST_MISFIT else None
 
-    def improved(self, matrix: DoubleArray, view: Pinhole) -> Motion:
+    def improved(self, matrix: DoubleArray, view: Pinhole, turn: Turn | None = None) -> Motion:
         """Likeliest motion near one [4, 4]."""
-        motion = _improved(matrix, self.landmarks, self.pixels, view)
+        motion = _improved(matrix, self, view, turn)
         return dataclasses.replace(motion, share=motion.share * self.share)
 
     def disagreement(self, matrix: DoubleArray, view: Pinhole) -> float:
@@ -208,19 +229,20 @@ def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> Doub
     return matrix
 
 
-def _improved(
-    matrix: DoubleArray, landmarks: Landmarks, pixels: DoubleArray, view: Pinhole
-) -> Motion:
+def _improved(matrix: DoubleArray, found: Found, view: Pinhole, turn: Turn | None) -> Motion:
     """Likeliest motion near a first one; outliers count less (Cauchy's weights)."""
     for _ in range(_ROUNDS):
-        squares, information, pull = _normal_equations(landmarks, pixels, view, matrix)
+        equations = _normal_equations(found.landmarks, found.pixels, view, matrix)
+        squares, information, pull = equations
+        if turn is not None:
+            turn.add_to(information, pull, matrix)
         # Where nothing tells a direction, nothing changes in it.
         held = information + _HELD * np.trace(information) * np.eye(6)
         change = np.linalg.solve(held, pull)
-        turn = cv2.Rodrigues(change[3:])[0]
+        turned = cv2.Rodrigues(change[3:])[0]
         matrix = matrix.copy()
-        matrix[:3, 3] = turn @ matrix[:3, 3] + change[:3]
-        matrix[:3, :3] = turn @ matrix[:3, :3]
+        matrix[:3, 3] = turned @ matrix[:3, 3] + change[:3]
+        matrix[:3, :3] = turned @ matrix[:3, :3]
         if np.abs(change).max() < _CONVERGED:
             break
     share, misfit = float((squares < _OUTLIER).mean()), float(np.median(squares))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.carrying import carried
-from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion
+from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion, Turn
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
@@ -30,6 +30,8 @@ _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 # A pose is wrong if the squared errors of landmarks are so many times what the best motion near it
 # leaves, and by so much more.
 _WRONG, _WRONG_BY = 2.0, 2.0
+# Standard deviation of a turn that is told, as by a gyroscope: rad, and as a share of it.
+_TURN, _TURN_SHARE = 0.001, 0.01
 # Frames are smoothed, which leaves so much of their noise.
 _SMOOTHING_PX, _SMOOTHED = 0.7, 0.4
 # Least grey of 8 bits that the middle of a frame has where landmarks are looked for, and the ratio
@@ -152,7 +154,8 @@ class MovingMemory:
         belief : Belief
             By this frame alone.
         pose : ndarray, float64 [4, 4], optional
-            Turns points of the camera into those of a fixed frame, metres.
+            Turns points of the camera into those of a fixed frame, metres; its last column is NaN
+            where only the turn is known, as by a gyroscope.
         noise : float, optional
             Standard deviation of the noise of `light`.
         """
@@ -200,6 +203,8 @@ class MovingMemory:
             return _Moved(None)
         given = None
         if pose is not None and last.given is not None:
+            if np.isnan(pose).any() or np.isnan(last.given).any():
+                return self._moved_by_turn(image, last.given, pose)
             given = np.linalg.inv(pose) @ last.given @ key.since
             found = Found.of(key.landmarks, image, self._view, given)
             if found is None:  # nothing contradicts it
@@ -213,6 +218,27 @@ class MovingMemory:
             return _Moved(motion.matrix, motion, refused=given is not None)
         # Where most of the view moves by itself, no one motion contradicts a pose.
         return _Moved(given, given=given is not None)
+
+    def _moved_by_turn(
+        self, image: NDArray[np.uint8], before: DoubleArray, now: DoubleArray
+    ) -> _Moved:
+        """Find the motion since the key frame, the turn of which is known."""
+        assert self._key is not None  # there is a last frame
+        key, turned = self._key, np.eye(4)
+        turned[:3, :3] = now[:3, :3].T @ before[:3, :3]
+        guess = turned @ key.since
+        found = Found.of(key.landmarks, image, self._view, guess)
+        if found is not None:
+            angle = np.arccos(np.clip((np.trace(guess[:3, :3]) - 1) / 2, -1, 1))
+            turn = Turn(guess[:3, :3], _TURN + _TURN_SHARE * float(angle))
+            motion = found.motion(self._view, guess, turn)
+            if motion is not None:
+                return _Moved(motion.matrix, motion)
+        found = Found.of(key.landmarks, image, self._view, key.since)
+        motion = None if found is None else found.motion(self._view, key.since)
+        if motion is None:
+            return _Moved(None)
+        return _Moved(motion.matrix, motion, refused=True)
 
     def _novelty(self, belief: Belief, matrix: DoubleArray) -> float:
         """How much of what the frame shows was not in the last frame's windows, in [0, 1]."""

@@ -17,7 +17,7 @@ from coded_aperture_ros.optics import Camera
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "moving_camera"
-FRAMES, POSE = "frames", "pose"
+FRAMES, GYRO, POSE = "frames", "gyro", "pose"
 # Larger maps are worked on in so many rows and columns: parallax is found to parts of a pixel.
 _LARGEST = (240, 320)
 
@@ -29,9 +29,9 @@ class Config(temporal.Config):
     moving_camera: str = option(
         "",
         "What tells how the camera moves, so that past frames help where it does: frames, points "
-        "that are found again; pose, the pose that comes with a frame, as from tf, which such "
-        "points check; empty: nothing.",
-        choices=("", FRAMES, POSE),
+        "that are found again; gyro, the same, with turns from a gyroscope; pose, the pose that "
+        "comes with a frame, as from tf, which such points check; empty: nothing.",
+        choices=("", FRAMES, GYRO, POSE),
         parameter="temporal.moving_camera",
         needs=("temporal_frames", True),
         daily=True,
@@ -51,7 +51,7 @@ def make(plan: Plan, config: Config) -> Stage:
             "moving_camera: needs depth in metres and the camera's view: give a camera file"
         )
     return MovingCamera(
-        plan.levels, plan.camera, config.temporal_frames, config.moving_camera == POSE
+        plan.levels, plan.camera, config.temporal_frames, config.moving_camera in (GYRO, POSE)
     )
 
 

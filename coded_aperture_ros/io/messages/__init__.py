@@ -42,6 +42,7 @@ from coded_aperture_ros.io.messages.frames import (
     pixels_from_frame,
 )
 from coded_aperture_ros.io.messages.transforms import Transforms
+from coded_aperture_ros.io.messages.turns import Turns
 
 __all__ = [
     "DEPTH_FORMATS",
@@ -50,6 +51,7 @@ __all__ = [
     "CameraInfos",
     "MessageError",
     "Transforms",
+    "Turns",
     "array_from_compressed",
     "array_from_image",
     "check_camera_info",
