@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.depth import DepthConfig, DepthEstimator
+from coded_aperture_ros.depth import DepthConfig, DepthEstimator, FocusPair
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Step, Trajectory
 from coded_aperture_ros.depth.moving.carrying import carried
@@ -16,7 +16,7 @@ from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
 from coded_aperture_ros.depth.stages.free_space import FreeSpace
-from coded_aperture_ros.frames import Frame
+from coded_aperture_ros.frames import Frame, View
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 
@@ -312,6 +312,16 @@ def test_what_frames_have_shown_to_be_free():
 CAMERA = Camera(150.0, 0.9, 160, 120, Mask.named("levin"), 60.0)
 
 
+def test_views_of_a_region_and_of_binned_frames():
+    whole = Pinhole.of_map(CAMERA, (120, 160))
+    region = Pinhole.of_map(CAMERA.for_view(View(100, 80, 160, 120, 50.0, 30.0)), (80, 100))
+    assert region.focal_px == pytest.approx(whole.focal_px)
+    assert region.centre == pytest.approx(np.subtract(whole.centre, (50, 30)))
+    binned = Pinhole.of_map(CAMERA.resized(80, 60), (60, 80))
+    assert binned.focal_px == pytest.approx(np.divide(whole.focal_px, 2))
+    assert binned.centre == pytest.approx((np.array(whole.centre) + 0.5) / 2 - 0.5)
+
+
 @pytest.fixture(scope="module")
 def bank():
     return learn_bank_for_camera(CAMERA, 1.2, 4.0, 15)
@@ -342,6 +352,13 @@ def test_the_stage_in_the_estimator(bank, how, size):
         bank, DepthConfig(temporal_frames=8, confidence_threshold=0.0), CAMERA
     ).estimate(Frame(seen(WAY[0])[0]), size)
     np.testing.assert_array_equal(again.level, alone.level)
+
+
+def test_two_focus_settings(bank):
+    config = DepthConfig(temporal_frames=8, moving_camera="frames", check_fit=False)
+    pair = FocusPair(DepthEstimator(bank, config, CAMERA), 1.1)
+    steps = [pair.estimate(*[seen(pose)[0]] * 2).camera_step for pose in WAY[:3]]
+    assert [str(step) for step in steps[1:]] == ["found in the frames"] * 2
 
 
 @pytest.fixture(scope="module")
