@@ -1,24 +1,29 @@
 """The viewer's page in every state: it fits the window, everybody can use it, and it measures."""
 
 import asyncio
+import itertools
 
+import cv2
 import numpy as np
 import pytest
 
 pytest.importorskip("aiohttp", reason="the viewer needs aiohttp")
 
+from coded_aperture_viewer.live import Shown
 from coded_aperture_viewer.presets import PRESETS
 from coded_aperture_viewer.ray_grid import ray_grid
-from coded_aperture_viewer.settings import Settings
+from coded_aperture_viewer.settings import LookConfig, Settings
 from live_page import CHROMIUM, page_at
-from live_viewer import client, serving, viewer_options
+from live_viewer import BlockedSource, client, serving, viewer_options
 from page_checks import beyond_the_window, findings, scrolls_down, set_display
+from small_camera import FAR_M, NEAR_M
+from waiting import scaled
 
 from coded_aperture_ros.deblur import DeblurConfig
-from coded_aperture_ros.depth import DepthConfig
+from coded_aperture_ros.depth import DepthConfig, DepthEstimate
 from coded_aperture_ros.io import read_image
 from coded_aperture_ros.optics import Intrinsics
-from coded_aperture_ros.sources import open_source
+from coded_aperture_ros.sources import Capture, open_source
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")
 TWO_ENDS = "addEnd([0.3, 0.5]); addEnd([0.7, 0.6])"
@@ -196,6 +201,53 @@ def test_the_hint_comes_once(tmp_path):
         assert await page.value("document.querySelector('#hint').hidden")
 
     on_page(use, tmp_path, viewer_options(tmp_path))
+
+
+def moving_frames(count=6):
+    """Results of colour frames of 640x480, each with a picture."""
+    random = np.random.default_rng(0)
+    settings = Settings(DepthConfig(), DeblurConfig())
+    noise = random.random((480, 640, 3), dtype=np.float32)
+    smooth = cv2.GaussianBlur(noise, None, 3)
+    for index in range(count):
+        light = np.roll(smooth, 20 * index, axis=1)
+        depth = (NEAR_M + (FAR_M - NEAR_M) * light[..., 0]).astype(np.float32)
+        depth[noise[..., 1] < 0.1] = np.nan
+        estimate = DepthEstimate(depth, depth, depth, light[..., 1], 0.01, 0.05 * depth)
+        pictures = {LookConfig("sharp"): light}
+        yield Shown(settings, Capture(light), light, estimate, light, pictures, rate_hz=12.0)
+
+
+@pytest.mark.slow
+@needs_browser
+@pytest.mark.parametrize("panel", ["depth", "points"])
+def test_frames_of_vga_are_shown_at_eight_hertz(tmp_path, panel):
+    """Whatever estimates their depth; every frame has a picture, so points are drawn each time."""
+
+    async def use():
+        (tmp_path / "browser").mkdir()
+        frames = list(moving_frames())
+        async with (
+            serving(viewer_options(tmp_path), BlockedSource()) as served,
+            page_at(f"http://localhost:{served.port}/", tmp_path / "browser", (1440, 900)) as page,
+        ):
+            feeding = asyncio.create_task(feed(served.server, frames))
+            await page.wait("window.viewer && viewer.shown > 3 && viewer.cloud")
+            await page.value(f"enlarge('{panel}')")
+            before = await page.value("[viewer.shown, performance.now()]")
+            await asyncio.sleep(8)
+            after = await page.value("[viewer.shown, performance.now()]")
+            feeding.cancel()
+        return 1000 * (after[0] - before[0]) / (after[1] - before[1])
+
+    async def feed(server, frames):
+        for frame in itertools.cycle(frames):
+            server.show(frame)
+            await asyncio.sleep(1 / 12)
+
+    rate_hz = asyncio.run(use())
+    print(f"{panel}: {rate_hz:.1f} Hz")
+    assert rate_hz > 8 / scaled(1)
 
 
 def test_presets_are_settings_that_exist():
