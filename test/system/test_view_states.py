@@ -58,6 +58,13 @@ def on_page(use, folder, options):
     asyncio.run(main())
 
 
+async def paused(page):
+    """Keep one frame; its picture comes a moment after it."""
+    await page.value("set('run.paused', true)")
+    await page.wait("viewer.frame.settings['run.paused'] && viewer.frame.parts.picture")
+    await asyncio.sleep(0.5)
+
+
 @pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("size", [(390, 844), (1440, 900)])
@@ -91,11 +98,9 @@ def test_a_distance_is_that_of_the_points_with_the_deviation_of_both(tmp_path):
     """Against positions and errors computed here, and on the picture and in space alike."""
 
     async def use(page, _):
-        await page.value("set('depth.confidence_threshold', 0); set('run.paused', true)")
-        await page.wait(
-            "viewer.frame.settings['depth.confidence_threshold'] === 0"
-            " && viewer.frame.settings['run.paused']"
-        )
+        await page.value("set('depth.confidence_threshold', 0)")
+        await page.wait("viewer.frame.settings['depth.confidence_threshold'] === 0")
+        await paused(page)
         await page.value("enlarge('depth')")
         await page.value("document.querySelector('[data-tool=distance]').click()")
         for place in ((0.3, 0.4), (0.75, 0.7)):
@@ -139,6 +144,7 @@ def test_a_distance_is_that_of_the_points_with_the_deviation_of_both(tmp_path):
 @needs_browser
 def test_histogram_and_profile_are_those_of_the_map(tmp_path):
     async def use(page, _):
+        await paused(page)
         counted = await page.value("histogram()")
         known = await page.value(
             "viewer.frame.depth.filter(step => step).length / viewer.frame.depth.length"
