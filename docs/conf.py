@@ -42,6 +42,7 @@ html_theme = "furo" if find_spec("furo") else "alabaster"
 html_title = f"{project} {version}"
 
 myst_heading_anchors = 4
+smartquotes = False  # options begin with two hyphens
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"
 autodoc_default_options = {"members": True, "show-inheritance": False}
