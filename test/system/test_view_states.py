@@ -305,3 +305,22 @@ def test_frames_are_recorded_as_png_and_read_back(tmp_path):
     assert not np.array_equal(first, second)
     stamps = [int(line.split(",")[1]) for line in times[1:]]
     assert stamps == sorted(stamps)
+
+
+def test_the_end_keeps_a_recording_as_png_that_every_page_has_seen(tmp_path):
+    async def use():
+        async with serving(options) as served, client(served) as page, client(served) as other:
+            await page.shown()
+            await page.send({"do": "record", "form": "png"})
+            for each in (page, other):
+                await each.told(lambda message: (message.get("recorded") or 0) >= 2)
+            count = served.server._keeping.recorded
+            await served.end()
+        return count
+
+    options = viewer_options(tmp_path)
+    count = asyncio.run(use())
+    (folder,) = (tmp_path / "kept").iterdir()
+    names = [line.split(",")[0] for line in (folder / "times.csv").read_text().splitlines()[1:]]
+    assert len(names) >= count >= 2
+    assert sorted(path.name for path in folder.glob("*.png")) == names
