@@ -3,6 +3,7 @@
 import types
 from itertools import pairwise
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,7 +15,7 @@ from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.clearance import clearance_m
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.fusion import fused
-from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
+from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
 from coded_aperture_ros.depth.stages.free_space import FreeSpace
 from coded_aperture_ros.frames import Frame, View
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
@@ -264,6 +265,17 @@ def test_parallax_alone_corrects_an_error():
     sure = told.confidence > 0.5
     assert sure.mean() > 0.5
     assert np.median(np.abs(told.inverse * truth - 1)[sure]) < 0.01
+
+
+def test_what_is_too_wide_ends_where_its_light_does():
+    light, _ = seen(WAY[0])
+    pose = moved(x=0.15)
+    now, truth = seen(pose)
+    wide = cv2.dilate((1 / truth).astype(np.float32), np.ones((5, 5), np.uint8))
+    roots = [np.sqrt(each) for each in (light, now)]
+    ends = settled_at_edges(wide, roots[1], Seen(roots[0], np.eye(4)), pose, VIEW)
+    off = [np.mean(np.abs(inverse * truth - 1) > 0.1) for inverse in (wide, ends)]
+    assert off[1] < 0.7 * off[0]
 
 
 def constant(inverse, variance, confidence):

@@ -5,6 +5,7 @@ import pytest
 
 from coded_aperture_ros.core.fast_math import exponential, logarithm
 from coded_aperture_ros.depth.moving import Pinhole, carrying, matching, outcome
+from coded_aperture_ros.depth.moving.edges import settle
 from coded_aperture_ros.depth.moving.equations import add_equations
 from coded_aperture_ros.depth.moving.fusion import fuse
 from coded_aperture_ros.depth.moving.outcome_plain import ENTRIES
@@ -101,6 +102,23 @@ def test_forms_of_comparison(random):
     assert_alike(compared, atol=0.01)  # OpenCV looks at 32 places between two pixels
     assert_alike(differences, atol=0.01)
     assert_alike(judged)
+
+
+def test_forms_of_edges(random):
+    """Light of a near square before a far wall, which is believed to be larger than it is."""
+    now, earlier = random.uniform(0.3, 0.6, (2, *SHAPE)).astype(np.float32)
+    inverse = np.full(SHAPE, 0.3, np.float32)
+    inverse[8:16, 10:20] = 0.9
+    nearest, farthest = np.full(SHAPE, 0.9, np.float32), np.full(SHAPE, 0.3, np.float32)
+    nearest[:, 28:] = 0.3
+    found = [(np.empty(SHAPE, np.float32),) for _ in range(3)]
+    surfaces = inverse, nearest, farthest
+    for form, maps in zip(forms(settle), found, strict=True):
+        form((now, earlier), VIEW.way(MOTION), surfaces, np.float32(0.002), *maps)
+    changed = found[0][0] != inverse
+    assert 3 < changed.sum() < 300 and not changed[:8, 28:].any()
+    assert set(np.unique(found[0][0])) == set(np.unique(inverse))
+    assert_alike(found)
 
 
 def test_forms_of_equations(random):

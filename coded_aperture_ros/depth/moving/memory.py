@@ -12,7 +12,7 @@ from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion, Turn
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
-from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax
+from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
 
 # How much two frames of a moving camera tell that agree: their errors have much in common. At rest
 # they are the same again; they tell something new if the picture has moved by more than this, px.
@@ -21,6 +21,7 @@ _PARALLAX_AGREEMENT = 0.8
 # Matches of single pixels are off by noise: the median of squares of this side, which keeps edges,
 # took a fifteenth of the mean error of walks.
 _GRAIN_PX = 5
+_EDGE_GRAIN_PX = 3
 # Past frames that are kept, and the parallax that is best to compare with, px of the map.
 _KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
 # What is seen of a step forward, beside one to the side.
@@ -266,7 +267,8 @@ class MovingMemory:
         told = by_parallax(roots, best, pose, self._view, belief, *errors)
         together = fused(belief, told, _PARALLAX_AGREEMENT)
         smooth = cv2.medianBlur(together.inverse, _GRAIN_PX)
-        return dataclasses.replace(together, inverse=smooth)
+        smooth = settled_at_edges(smooth, roots, best, pose, self._view, errors[0])
+        return dataclasses.replace(together, inverse=cv2.medianBlur(smooth, _EDGE_GRAIN_PX))
 
     def _parallax_px(self, seen: Seen, pose: DoubleArray, inverse: float) -> float:
         """About how far what has an inverse depth moved since a frame, but for rotation, px."""

@@ -12,6 +12,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.carrying import exposure_ratio
+from coded_aperture_ros.depth.moving.edges import settled
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Way
 from coded_aperture_ros.depth.moving.matching import compare, differ, judge
 from coded_aperture_ros.depth.moving.matching_plain import LEAST_INVERSE, WINDOW_PX
@@ -91,6 +92,24 @@ def by_parallax(
     variance = np.ascontiguousarray(belief.variance)
     judge(means, tuple(scales), (inverse, variance), limits, tuple(found))
     return Belief(*found)
+
+
+def settled_at_edges(
+    inverse: FloatArray,
+    now: FloatArray,
+    seen: Seen,
+    pose: DoubleArray,
+    view: Pinhole,
+    noise: float = 0.0,
+) -> FloatArray:
+    """Inverse depth [rows, columns], at edges that of the surface which suits the earlier frame.
+
+    The other arguments are those of `by_parallax`.
+    """
+    way = view.way(np.linalg.inv(seen.pose) @ pose)
+    some = _Sparse(np.ascontiguousarray(now[::_SPARSE, ::_SPARSE]), seen.roots, way)
+    now = now / some.brighter(np.ascontiguousarray(inverse[::_SPARSE, ::_SPARSE]))
+    return settled(inverse, now, seen.roots, way, max(2**0.5 * noise, _LEAST_NOISE))
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
