@@ -44,7 +44,7 @@ PARAMETERS = (
     (
         "temporal.moving_camera",
         "",
-        "What tells how the camera moves: frames, or pose (odometry, tf); empty: nothing",
+        "What tells how the camera moves: frames, gyro, or pose (odometry, tf); empty: nothing",
         DEPTH,
     ),
     ("temporal.fixed_frame", "odom", "Frame of odometry or tf in which it moves", DEPTH),
