@@ -97,6 +97,16 @@ def test_python_examples_of_the_documents_compile(documents):
             compile(example, name, "exec")
 
 
+def test_documents_are_few_and_have_a_picture_near_the_top(checkout):
+    pages = [*(checkout / "docs").glob("*.md"), *(checkout / "docs").glob("*.rst")]
+    assert 10 < len(pages) <= 20
+    first_lines = {page.name: "".join(page.read_text().splitlines()[:20]) for page in pages}
+    without = [
+        name for name, text in first_lines.items() if not re.search(r"!\[|\.\. image::", text)
+    ]
+    assert without == []
+
+
 def test_links_between_documents_lead_somewhere(documents, checkout):
     for name, text in documents.items():
         for target in re.findall(r"\]\((?!\w+:)([^)#\s]+)(?:#[^)]*)?\)", text):
