@@ -178,3 +178,18 @@ def test_calibration_prints_what_its_document_shows(documents, tmp_path, monkeyp
     assert len(printed) == 4
     for line in printed:
         assert call(capsys, *line).status == 0
+
+
+def test_our_names_beside_those_of_other_packages_exist(documents, checkout):
+    """Topics and parameters are in the generated page, arguments and frames in launch files."""
+    _, _, section = documents["docs/robot.md"].partition("## Names, here and in other camera")
+    rows = re.findall(r"^\|[^|]*\|[^|]*\|([^|]*)\|[^|]*\|$", section, re.MULTILINE)[2:]
+    names = {
+        name.partition(":=")[0].strip("/.")
+        for row in rows
+        for name in re.findall(r"`([^`]+)`", row)
+    }
+    assert len(names) > 30
+    files = [*(checkout / "launch").iterdir(), *(checkout / "urdf").iterdir()]
+    known = documents["docs/topics.md"] + "".join(path.read_text() for path in files)
+    assert {n for n in names if n not in known and not (checkout / n).exists()} == {"camera_link"}
