@@ -10,6 +10,7 @@ from cli_scene import CAMERA, call, camera_file, everything, forbid_work, refuse
 from psf_pictures import measured_file
 from waiting import run_python
 
+from coded_aperture_ros.calibration.psf import nominal
 from coded_aperture_ros.likelihood.bank import load_bank
 from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 
@@ -83,7 +84,8 @@ def test_from_measured_psfs(tmp_path, capsys, in_file, options, sizes, depths):
         assert bank.stack.depths_m.tolist() == depths
 
 
-def test_psfs_without_sizes_get_nominal_ones(tmp_path, capsys):
+def test_psfs_without_sizes_get_nominal_ones(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(nominal, "fitting_share", lambda *_: 1.0)  # a check of its own takes long
     sizes_px = np.linspace(4, 9, 8)
     psfs = tmp_path / "psfs.npz"
     np.savez(psfs, psfs=render_psf_stack(Mask.named("levin"), sizes_px).psfs)

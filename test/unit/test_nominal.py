@@ -284,7 +284,23 @@ def test_scenes_have_known_depths_by_their_logarithm():
     assert known.interpolate_depth(np.array([half]))[0] == pytest.approx(1.6)
 
 
-def test_psfs_of_a_mask_are_as_good_without_their_sizes():
+def test_psfs_that_grow_evenly_have_a_check_of_their_own_where_the_network_is_too_strict(
+    few_scenes, monkeypatch
+):
+    stack = without_sizes(render_psf_stack(Mask.named("levin"), SIZES))
+    bank = learn_bank(with_nominal_sizes(stack), LearnConfig(noise=0.002))
+    assert own_fit.fitting_share(bank) > 0.6
+    monkeypatch.setattr(own_fit, "is_right", lambda stack, level, truth: np.ones(3, np.bool_))
+    monkeypatch.setattr(own_fit, "fit_terms", lambda features: np.full(23, -1.0))
+    assert own_fit.fitting_share(bank) == 0
+    monkeypatch.setattr(nominal, "measured_fit", lambda *_: (0.5, 1.0))
+    for share, own in ((0.95, ()), (0.5, (0.5, 1.0))):
+        monkeypatch.setattr(nominal, "fitting_share", lambda *_, share=share: share)
+        found = learn_nominal_bank(stack, LearnConfig(noise=0.002), NaturalImagePrior(), "test")
+        assert found.own_fit == own and found.reliability == ()
+
+
+def test_psfs_of_a_mask_are_as_good_without_their_sizes(few_scenes):
     known = render_psf_stack(Mask.named("levin"), SIZES)
     unknown = without_sizes(known)
     found = learn_nominal_bank(unknown, LearnConfig(), NaturalImagePrior(), "test")

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 import scipy.optimize
 
-from coded_aperture_ros.calibration.psf.own_fit import measured_fit
+from coded_aperture_ros.calibration.psf.own_fit import fitting_share, measured_fit
 from coded_aperture_ros.calibration.psf.simulated import SCENES, is_right, simulated_frames
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray
 from coded_aperture_ros.core.progress import Progress
@@ -28,6 +28,8 @@ from coded_aperture_ros.optics.nominal import grows_evenly, with_nominal_sizes
 # Side of the patches for PSFs that do not grow as those of a mask, px: they tell less apart, so
 # that more of the frame has to.
 _WIDE_WINDOW_PX = 64
+# The network of the check suffices for PSFs that grow evenly if so many of their frames pass.
+_FITTING_SHARE = 0.9
 # Every so many pixels of a map count: neighbours say the same.
 _SPARSE = 4
 # Penalty of the squared coefficient of the noise, which is undetermined where that is known.
@@ -43,8 +45,9 @@ def learn_nominal_bank(
 ) -> FilterBank:
     """Bank of PSFs without sizes in px, with nominal sizes; its own confidence, check if needed.
 
-    PSFs that grow evenly are as those of a mask; too few have no nominal sizes. Both make a bank as
-    `learn_bank` does.
+    PSFs that grow evenly are as those of a mask, and too few have no nominal sizes: both make a
+    bank as `learn_bank` does. Of the former the check is the bank's own only where the network is
+    too strict, as with soft PSFs.
 
     Parameters
     ----------
@@ -59,8 +62,13 @@ def learn_nominal_bank(
         As `learn_bank`.
     """
     sized = with_nominal_sizes(stack)
-    if not sized.nominal or grows_evenly(stack):
+    if not sized.nominal:
         return learn_bank(sized, config, prior, learned_from, progress=progress)
+    if grows_evenly(stack):
+        bank = learn_bank(sized, config, prior, learned_from, progress=progress)
+        if fitting_share(bank, progress) >= _FITTING_SHARE:
+            return bank
+        return dataclasses.replace(bank, own_fit=measured_fit(bank, progress))
     if not config.window_px:
         window_px = max(config.for_blur(0.0, stack.psfs.shape[-1]).window_px, _WIDE_WINDOW_PX)
         config = dataclasses.replace(config, window_px=window_px)

@@ -82,6 +82,21 @@ def measured_fit(bank: FilterBank, progress: Progress = iter) -> tuple[float, ..
     return (*_fitted(of_frames, fitting), *limits.tolist())
 
 
+def fitting_share(bank: FilterBank, progress: Progress = iter) -> float:
+    """Share of simulated frames through a bank's PSFs that the network of the check lets pass.
+
+    Parameters are those of `measured_fit`.
+    """
+    looks = _Looks(dataclasses.replace(bank, own_fit=(), reliability=()))
+    found = [
+        looks.terms_and_right(frame)
+        for seed in progress(range(_SCENES))
+        for frame in simulated_frames(looks.bank, seed)
+    ]
+    looks.close()
+    return float(np.mean([each[0][0] >= 0 for each in found if each is not None] or [1.0]))
+
+
 def frames_of_scene(bank: FilterBank, seed: int) -> Iterator[tuple[str, _Frame]]:
     """Yield kind and frame of those of a scene that fit a bank, kind "", and of others."""
     random = np.random.default_rng([seed, 77])
