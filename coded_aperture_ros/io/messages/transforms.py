@@ -19,8 +19,6 @@ from coded_aperture_ros.io.messages.encodings import stamp_ns
 _SECOND_NS = 1_000_000_000
 # Times so far beyond the newest transform are extrapolated, ns.
 _BEYOND_NS = _SECOND_NS // 10
-# So many transforms more than have to be kept are dropped together.
-_SURPLUS = 1000
 # A chain of more frames than this is a circle.
 _LONGEST_CHAIN = 100
 
@@ -121,8 +119,7 @@ class Transforms:
                 return
             kept.append(transform)
             oldest_ns = transform.stamp_ns - self._kept_ns
-            if len(kept) > _SURPLUS and kept[_SURPLUS].stamp_ns < oldest_ns:
-                del kept[: bisect_left(kept, oldest_ns, key=attrgetter("stamp_ns"))]
+            del kept[: bisect_left(kept, oldest_ns, key=attrgetter("stamp_ns"))]
 
     def receive(self, message: Any) -> None:
         """Keep the transforms of a `tf2_msgs/TFMessage` on /tf."""
