@@ -14,8 +14,10 @@ from cameras import THESIS
 from cli_scene import call, everything, refused, wrong_usage
 from waiting import run_python
 
+from coded_aperture_ros.cli.design_for import wide_range
 from coded_aperture_ros.cli.main import main
 from coded_aperture_ros.design import design_setting
+from coded_aperture_ros.design.choice import Wanted
 from coded_aperture_ros.optics import Mask, camera_from_mapping, load_camera
 from coded_aperture_ros.optics.camera_file import load_sensor
 
@@ -437,6 +439,11 @@ def test_a_binning_does_not_take_the_name_of_another_camera_file(tmp_path, capsy
     assert result.status == 1
     assert "mine_binning2.yaml: two camera files have this name" in result.err
     assert not (tmp_path / "chosen").exists()
+
+
+def test_a_range_wider_than_those_confirmed_is_warned_of():
+    assert wide_range(Wanted(0.5, 1.5)) == []
+    assert "1 : 5 is a wide range" in wide_range(Wanted(0.4, 2.0))[0]
 
 
 @pytest.mark.slow
