@@ -103,7 +103,7 @@ def _pictures(snapshot: dict[str, NDArray]) -> list[Picture]:
     errors = 0.0, 100 * _LARGEST_ERROR
 
     def light(topic: str) -> NDArray[np.uint8]:
-        picture = pixels_from_linear(snapshot[topic], 8, SRGB)
+        picture = np.asarray(pixels_from_linear(snapshot[topic], 8, SRGB), np.uint8)
         return picture if picture.ndim == 3 else np.repeat(picture[..., None], 3, axis=2)
 
     return [
