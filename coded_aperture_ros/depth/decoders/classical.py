@@ -22,6 +22,11 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.likelihood import Cost
 
+# A side that is no likelier than this is a guess: what is sure of the blur alone (0.9) is then said
+# to be right at 0.36 to 0.4, and not published by default.
+_UNTOLD = 0.55
+_UNTOLD_FACTOR = 0.8
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ClassicalDecoded:
@@ -126,7 +131,8 @@ class ClassicalDecoder:
         given_side = self.sides.condition_on_side(probability)
         confidence = level_confidence(level, given_side, at.patches, agreement)
         # Where both sides' depths are about the same, either is right.
-        confidence *= np.where(self.sides.is_ambiguous(level), 1, side_confidence)
+        told = np.where(self.sides.is_ambiguous(level), 1, side_confidence)
+        confidence *= np.where(told < _UNTOLD, _UNTOLD_FACTOR * told, told)
         return confidence, side_confidence
 
     def _deviation(self, level: FloatArray, volume: FloatArray, at: MapGrid) -> FloatArray:
