@@ -124,6 +124,7 @@ class FrameNode(ManagedNode, Generic[Item]):
         self.listen("camera_info", CameraInfo, self.driver_info.receive)
         self._logged_s: dict[str, float] = {}
         self._work_started_s = 0.0
+        self._complains = False  # about the last frame
         self._rate_limit = RateLimit()
         self._worker: NewestWorker[Item] | None = None
         self._timer: Any = None
@@ -302,6 +303,9 @@ class FrameNode(ManagedNode, Generic[Item]):
         latency_s = (now - stamp) * 1e-9 if stamp else None
         work_s = time.monotonic() - self._work_started_s
         self.statistics.count_processed(latency_s, work_s, stages_s, figures, complaint)
+        if complaint is not None and not self._complains:  # the first of a series
+            self.get_logger().warning(complaint.text, throttle_duration_sec=_LOG_PERIOD_S)
+        self._complains = complaint is not None
 
     def reject(self, kind: str, reason: str) -> None:
         """Count an unusable message, and log why, at most every 10 s for each kind of fault."""

@@ -443,7 +443,7 @@ def test_a_range_that_the_bank_does_not_reach_into_is_refused_at_start(ros, mode
             Chain(ros, {**model, **range_m})
 
 
-def test_frames_that_do_not_fit_are_told(ros, model, coded):
+def test_frames_that_do_not_fit_are_told(ros, model, coded, capfd):
     chain = Chain(ros, {**model, "temporal.frames": 0.0}, subscribe=("depth/image",))
     chain.result(mono8(coded))
     good = chain.node.statistics.summary()
@@ -458,6 +458,9 @@ def test_frames_that_do_not_fit_are_told(ros, model, coded):
     assert status.level == (b"\2" if bad.complaint.serious else b"\1")
     assert bad.complaint.text in status.message
     assert not bad.complaint.serious or np.isnan(depth).all()
+    chain.result(mono8(np.clip(large[:96, :128], 0, 1)))
+    # Once, however many frames do not fit one after the other.
+    assert capfd.readouterr().err.count("does not fit") == 1
 
 
 @pytest.mark.parametrize("learned_here", [False, True])
