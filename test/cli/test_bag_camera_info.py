@@ -141,9 +141,9 @@ def test_a_recording_keeps_the_models_of_its_frames(scene, tmp_path, case):
     from coded_aperture_viewer.recording import Recording
 
     camera = load_camera(scene.camera)
-    recording = Recording(tmp_path / "recording", camera)
+    recording = Recording(tmp_path / "recording", camera, "")
     for capture in captures(open_files(str(bag_of(scene, tmp_path, case)))):
-        recording.add(capture, "")
+        recording.add(capture)
     recording.close()
     for capture in captures(open_files(str(tmp_path / "recording"))):
         view = capture.view(camera)

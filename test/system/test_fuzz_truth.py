@@ -74,7 +74,7 @@ def test_tiff(folder, data):
     path = folder / "fuzzed.tif"
     tifffile.imwrite(path, written, **options, **whole)
     try:
-        found = read_image(path)
+        found = read_image(path, 1.0)
     except InputError as error:
         assert "fuzzed.tif" in str(error) and "\n" not in str(error)
         return
@@ -104,7 +104,7 @@ def test_pnm(folder, data):
     path = folder / ("fuzzed.ppm" if colour else "fuzzed.pgm")
     path.write_bytes(head + body)
     try:
-        found = read_image(path)
+        found = read_image(path, 1.0)
     except InputError as error:
         assert "fuzzed.p" in str(error) and "\n" not in str(error)
         return

@@ -170,11 +170,13 @@ def test_netpbm_has_a_white_of_its_own(tmp_path, kind, white):
     path = tmp_path / "a.pnm"
     path.write_bytes(netpbm(kind, pixels, white))
     # To a half of the step of 8 bits.
-    np.testing.assert_allclose(read_image(path), pixels / white, atol=2e-3 if white < 255 else 1e-6)
+    np.testing.assert_allclose(
+        read_image(path, 1.0), pixels / white, atol=2e-3 if white < 255 else 1e-6
+    )
     # The option for sensors whose numbers are not scaled does not apply to a file that says so.
     (capture,) = captures(open_files(str(path)))
     light = capture.decode(PixelFormat(bits=12 if white == 4095 else 16)).light
-    np.testing.assert_allclose(light, read_image(path))
+    np.testing.assert_allclose(light, read_image(path, 1.0))
 
 
 def test_depth_in_netpbm_and_pfm_keeps_its_numbers(tmp_path):
