@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,6 +19,7 @@ from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import LapTimer
 from coded_aperture_ros.depth import Health, Layer
+from coded_aperture_ros.depth.points import point_colours
 from coded_aperture_ros.frames import ExpectedMotion, Frame, Gamma, PixelFormat, View
 from coded_aperture_ros.io.messages import MessageError, pixels_from_frame
 from coded_aperture_ros.likelihood.bank import check_frame_size
@@ -155,7 +155,7 @@ class FrameProcessor:
             estimate.noise,
             estimate.health,
             estimate.layers,
-            self._colours(frame) if self.points else None,
+            point_colours(frame.light, self.map_size, self.gamma) if self.points else None,
         )
         processed = ProcessedFrame(
             header=picture.header, encoding=picture.encoding, maps=maps, seconds=timer.seconds
@@ -170,12 +170,6 @@ class FrameProcessor:
             return dataclasses.replace(processed, fault=fault, reason=reason)
         timer.lap("deblur")
         return dataclasses.replace(processed, sharp=stored, seconds=timer.seconds)
-
-    def _colours(self, frame: Frame) -> NDArray[np.uint8]:
-        """Colours of the depth images' pixels, uint8 [rows, columns, RGB]."""
-        rows, columns = self.map_size
-        light = cv2.resize(frame.light, (columns, rows), interpolation=cv2.INTER_AREA)
-        return pixels_from_frame(light, "rgb8", self.gamma)
 
     def _decoded(self, data: bytes) -> tuple[Picture, Frame]:
         picture = read_picture(data, self.type_name, self.mosaic)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, Shape
 from coded_aperture_ros.depth.estimate import DepthEstimate
 from coded_aperture_ros.frames import Gamma
 from coded_aperture_ros.io.messages import pixels_from_frame
@@ -69,6 +69,15 @@ def points_of_depth(
     return points
 
 
+def point_colours(light: FloatArray, size: Shape, gamma: Gamma) -> NDArray[np.uint8]:
+    """Colours of the pixels of a map of some rows and columns, uint8 [rows, columns, RGB].
+
+    `light` is that of the frame, linear.
+    """
+    small = cv2.resize(light, size[::-1], interpolation=cv2.INTER_AREA)
+    return pixels_from_frame(small, "rgb8", gamma)
+
+
 def points_of_frame(
     estimate: DepthEstimate, light: FloatArray, intrinsics: Intrinsics, gamma: Gamma
 ) -> FloatArray:
@@ -78,10 +87,9 @@ def points_of_frame(
     """
     assert estimate.depth_m is not None and estimate.std_dev_m is not None
     rows, columns = estimate.depth_m.shape
-    small = cv2.resize(light, (columns, rows), interpolation=cv2.INTER_AREA)
     rays = intrinsics.rays(rows, columns)
     maps = estimate.depth_m, estimate.confidence, estimate.std_dev_m
-    return points_of_depth(*maps, pixels_from_frame(small, "rgb8", gamma), rays)
+    return points_of_depth(*maps, point_colours(light, (rows, columns), gamma), rays)
 
 
 def nearest_obstacle_m(

@@ -32,6 +32,7 @@ from coded_aperture_ros.depth import (
 )
 from coded_aperture_ros.depth.core_maps import CONFIDENCE, CORE_MAPS, DEPTH, DEPTH_MM, STD_DEV
 from coded_aperture_ros.depth.layer import LayerSpec
+from coded_aperture_ros.depth.points import point_colours
 from coded_aperture_ros.depth.stages import moving_camera
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
@@ -44,7 +45,6 @@ from coded_aperture_ros.io.messages import (
     limit_depth,
     limit_layer,
     millimetres_from_depth,
-    pixels_from_frame,
 )
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import LearnConfig
@@ -332,8 +332,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
             return
         size = depth_m.shape
         rays = pixel_rays(info.distortion_model, tuple(info.k), tuple(info.d), *size)
-        light = cv2.resize(frame.light, size[::-1], interpolation=cv2.INTER_AREA)
-        colours = pixels_from_frame(light, "rgb8", self.frame_config.gamma)
+        colours = point_colours(frame.light, size, self.frame_config.gamma)
         std_dev_m = _std_dev_m(estimate, depth_m)
         near_m = self._model_config.near_m
         far_m = self.configs[DepthNodeConfig].points_far_m
