@@ -11,8 +11,8 @@ from coded_aperture_ros.bags.codec import read_message, read_picture
 from coded_aperture_ros.bags.contents import Topic
 from coded_aperture_ros.bags.reading import Bag
 from coded_aperture_ros.bags.topics import image_topic
-from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.io.messages import MessageError, Transforms
 
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -52,9 +52,9 @@ class BagPoses:
             poses._check(bag)
         return poses
 
-    def at(self, stamp_ns: int) -> DoubleArray | None:
-        """Pose [4, 4] of the camera at a stamp, ns, as `Frame.pose` has it; None if unknown."""
-        return self._transforms.pose(self.fixed_frame, self.frame, stamp_ns)
+    def at(self, stamp_ns: int) -> Pose | None:
+        """Pose of the camera at a stamp, ns, as `Frame.pose` has it; None if unknown."""
+        return self._transforms.located(self.fixed_frame, self.frame, stamp_ns)
 
     @cached_property
     def _transforms(self) -> Transforms:

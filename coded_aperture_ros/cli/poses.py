@@ -15,11 +15,12 @@ from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth import DepthConfig
 from coded_aperture_ros.depth.stages.moving_camera import GYRO
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.io.pose_file import PoseFile
 
 _SECOND_NS = 1e9
 # Pose of a frame, by its number in its video.
-Poses = Callable[[NamedFrame, int], DoubleArray | None]
+Poses = Callable[[NamedFrame, int], Pose | DoubleArray | None]
 
 
 def with_poses(args: Arguments, frames: Iterable[NamedFrame]) -> Iterator[NamedFrame]:
@@ -72,7 +73,7 @@ def _of_bag(given: str, fixed_frame: str) -> Poses:
         )
     poses = BagPoses.of_camera(Path(path), fixed_frame, topic or None)
 
-    def pose(named: NamedFrame, index: int) -> DoubleArray | None:
+    def pose(named: NamedFrame, index: int) -> Pose | None:
         stamp_ns = _stamp_ns(named)
         return None if stamp_ns is None else poses.at(stamp_ns)
 

@@ -18,6 +18,7 @@ from coded_aperture_ros.frames.light import (
     linear_from_pixels,
 )
 from coded_aperture_ros.frames.mosaic import colour_from_mosaic, grey_from_mosaic
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.frames.view import View
 
 # An earlier stamp than this is not a frame that was overtaken: time itself has gone back.
@@ -49,8 +50,9 @@ class Frame:
         A frame of the same view with the lens focused elsewhere; see `FocusPair`.
     pose : callable or None
         Gives what turns points of the camera's optical frame into those of a fixed one, metres,
-        float64 [4, 4]; or None, where it is unknown. The last column is NaN where only the turn is
-        known. It is asked when the pose is needed: on a robot it may come a little after the frame.
+        a `Pose` or float64 [4, 4]; or None, where it is unknown. The last column is NaN where only
+        the turn is known. It is asked when the pose is needed: on a robot it may come a little
+        after the frame.
 
     Examples
     --------
@@ -66,7 +68,7 @@ class Frame:
     view: View | None = None
     motion: ExpectedMotion | None = None
     refocused: "Frame | None" = None
-    pose: Callable[[], DoubleArray | None] | None = None
+    pose: Callable[[], Pose | DoubleArray | None] | None = None
 
     @classmethod
     def of(cls, frame: "Frame | FloatArray") -> "Frame":
@@ -84,8 +86,7 @@ class Frame:
         """Width and height of the whole view, px of this frame."""
         if self.view is not None:
             return self.view.whole_width, self.view.whole_height
-        rows, columns = self.shape
-        return columns, rows
+        return self.shape[1], self.shape[0]
 
     @property
     def channels(self) -> int:

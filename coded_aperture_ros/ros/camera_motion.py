@@ -8,8 +8,8 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.depth.moving import Place, Step, Trajectory
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.io.messages import Transforms
 from coded_aperture_ros.ros.messages import odometry_from_place, stamp_ns
 
@@ -53,7 +53,7 @@ class CameraMotion:
         self._place: Place | None = None
         self._moved_ns = self._since_ns = 0
 
-    def pose_of(self, header: Header, fixed_frame: str) -> Callable[[], DoubleArray | None] | None:
+    def pose_of(self, header: Header, fixed_frame: str) -> Callable[[], Pose | None] | None:
         """What gives the camera's pose at a stamp, when it is needed; None without poses."""
         if not self._listens:
             self._logger.warning(
@@ -63,7 +63,7 @@ class CameraMotion:
             )
             return None
         stamp = stamp_ns(header)
-        return functools.partial(self._transforms.pose, fixed_frame, header.frame_id, stamp)
+        return functools.partial(self._transforms.located, fixed_frame, header.frame_id, stamp)
 
     def follow(self, step: Step | None, header: Header) -> None:
         """Go on by what a frame tells of the motion; None: it is not followed."""

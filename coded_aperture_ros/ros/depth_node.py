@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
@@ -37,6 +37,7 @@ from coded_aperture_ros.depth.stages import moving_camera
 from coded_aperture_ros.depth.stages.temporal import VIDEO_FRAMES
 from coded_aperture_ros.frames import Frame
 from coded_aperture_ros.frames.frame import LateFrameError
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.io.messages import (
     DEPTH_FORMATS,
     MessageError,
@@ -273,7 +274,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if self._finds_motion:
             intrinsics = self._model.camera.intrinsics
             motion = self._gyro.expected(header, self.configs[GyroConfig], intrinsics)
-        pose = None
+        pose: Callable[[], Pose | DoubleArray | None] | None = None
         if self._told_by == moving_camera.POSE:
             pose = self._camera_motion.pose_of(header, self.configs[DepthNodeConfig].fixed_frame)
         elif self._told_by == moving_camera.GYRO:

@@ -21,6 +21,7 @@ from cli_scene import call, refused, wrong_usage
 from coded_aperture_ros.bags.poses import ODOMETRY_TYPE, BagPoses
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.moving import MovingMemory
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.io import write_image
 from coded_aperture_ros.io.pose_file import PoseFile
 
@@ -71,7 +72,7 @@ def told(monkeypatch):
     found, add = [], MovingMemory.add
 
     def noted(self, light, belief, pose=None, noise=0.0):
-        found.append(pose)
+        found.append(Pose.of(pose).matrix)
         return add(self, light, belief, pose, noise)
 
     monkeypatch.setattr(MovingMemory, "add", noted)
@@ -105,7 +106,7 @@ def test_poses_of_a_bag_can_be_pickled(scene, tmp_path):
     path = walked(scene, tmp_path / "walk")
     poses = BagPoses.of_camera(path, "odom", "/eye/image_raw")
     again = pickle.loads(pickle.dumps(poses))
-    np.testing.assert_array_equal(again.at(START_NS), poses.at(START_NS))
+    np.testing.assert_array_equal(again.at(START_NS).matrix, poses.at(START_NS).matrix)
     assert poses.at(START_NS - 1) is None
 
 

@@ -102,8 +102,10 @@ def shifted(coded, pixels):
     return np.roll(coded, -pixels, axis=1)
 
 
-def odometry(seconds, x, child=CAMERA):
+def odometry(seconds, x, child=CAMERA, covariance=None):
     message = Odometry(child_frame_id=child)
+    if covariance is not None:
+        message.pose.covariance = np.ravel(covariance)
     where = transform(seconds, x)
     message.header = where.header
     message.pose.pose.position.x = x
@@ -117,7 +119,48 @@ def test_a_pose_of_odometry():
     assert transforms.pose(PARENT, CAMERA, at(10))[0, 3] == pytest.approx(1.5)
 
 
-def run_past(ros, model, coded, tell, frames=4, step_px=4):
+def test_a_covariance_is_that_of_the_camera():
+    """A mast of a metre ahead: what turns the robot about z moves the camera along y."""
+    transforms = told(static=(transform(0, 1.0, parent=CHILD, child=CAMERA),))
+    turns = np.diag([0, 0, 0, 0, 0, 0.01])
+    for seconds, factor in ((10, 1.0), (11, 3.0)):
+        transforms.receive_odometry(odometry(seconds, 1.0, CHILD, factor * turns))
+    found = transforms.located(PARENT, CAMERA, at(10.5)).covariance  # between both
+    expected = np.zeros((6, 6))
+    expected[np.ix_([1, 5], [1, 5])] = 0.02
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+    late = transforms.located(PARENT, CAMERA, at(11.05)).covariance
+    assert late[5, 5] == pytest.approx(0.03)  # it is not extrapolated
+    # About the axes of another fixed frame, which is exact.
+    transforms.receive_static(TFMessage(transforms=[transform(0, 5.0, math.pi / 2, "map", PARENT)]))
+    turned = transforms.located("map", CAMERA, at(10.5)).covariance
+    assert turned[0, 0] == pytest.approx(0.02) and turned[1, 1] == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [np.zeros((6, 6)), np.diag([-1.0, 0, 0, 0, 0, 0]), np.full((6, 6), math.nan), np.eye(6)[::-1]],
+)
+def test_a_covariance_that_states_nothing_is_unknown(covariance):
+    transforms = told()
+    transforms.receive_odometry(odometry(10, 1.0, CHILD, covariance))
+    found = transforms.located(PARENT, CHILD, at(10))
+    assert found.matrix[0, 3] == 1.0 and found.covariance is None
+
+
+def test_tf_has_no_covariance_unless_odometry_has_the_same_transform():
+    for first in (False, True):
+        transforms = told()
+        for by_tf in (first, not first):
+            if by_tf:
+                transforms.receive(TFMessage(transforms=[transform(10, 1.0)]))
+                continue
+            transforms.receive_odometry(odometry(10, 1.0, CHILD, np.eye(6)))
+        assert transforms.located(PARENT, CHILD, at(10)).covariance is not None
+    assert told(transform(10, 1.0)).located(PARENT, CHILD, at(10)).covariance is None
+
+
+def run_past(ros, model, coded, tell, frames=4, step_px=4, covariance=lambda _: None):
     """Send frames of a wall that a camera passes; return what the node says of its motion."""
     settings = {"temporal.moving_camera": "pose", "temporal.frames": 8.0}
     chain = Chain(ros, model, ("depth/image",), **settings)
@@ -129,7 +172,7 @@ def run_past(ros, model, coded, tell, frames=4, step_px=4):
         seconds = header.stamp.sec + header.stamp.nanosec * 1e-9
         x = tell(index, index * step_px / 400 * DEPTH_M)
         if x is not None:
-            ros.hand_over(poses, odometry(seconds, x))
+            ros.hand_over(poses, odometry(seconds, x, covariance=covariance(index)))
         chain.result(mono8(shifted(coded, index * step_px), header))
         said.append(chain.node.identity()["camera_motion"])
     return said
@@ -165,6 +208,31 @@ def test_a_node_refuses_poses_that_frames_contradict(ros, model, coded):
     said = run_past(ros, model, coded, lambda index, x: x + 0.1 * (index == 3))
     assert said[2] == "told by the pose"
     assert said[3] == "found in the frames, the pose contradicts the frames"
+
+
+def test_a_jump_beyond_the_covariance_is_refused(ros, model, coded):
+    told = {"covariance": lambda index: np.eye(6) * (1e-6 + 1e-8 * index)}
+    said = run_past(ros, model, coded, lambda index, x: x + 0.1 * (index == 3), **told)
+    assert said[2] == "told by the pose"
+    assert said[3] == "found in the frames, the pose contradicts the frames"
+
+
+def test_a_node_takes_odometry_that_states_how_far_it_may_be_off(ros, model, coded):
+    """Slip of a decimetre, which the covariance grows by, is mended by the frames."""
+    ways = ros.subscribe("depth/odometry", Odometry)
+
+    def tell(index, x):
+        return None if index == 1 else x + 0.1 * (index > 2)  # one is missing
+
+    def covariance(index):
+        return np.diag([1e-6 + 0.01 * (index > 2), 1e-6, 1e-6, 1e-8, 1e-8, 1e-8])
+
+    said = run_past(ros, model, coded, tell, frames=5, covariance=covariance)
+    assert said[1] == "found in the frames"
+    assert said[3:] == ["told by the pose"] * 2
+    assert wait_until(lambda: len(ways) == 4)
+    step_m = 4 / 400 * DEPTH_M
+    assert ways[-2].twist.twist.linear.x == pytest.approx(step_m, abs=0.02)
 
 
 def test_poses_cannot_be_asked_for_later_without_a_word(ros, model, coded):

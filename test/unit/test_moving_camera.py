@@ -16,8 +16,10 @@ from coded_aperture_ros.depth.moving.clearance import clearance_m
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
+from coded_aperture_ros.depth.moving.uncertainty import motion_covariance
 from coded_aperture_ros.depth.stages.free_space import FreeSpace
 from coded_aperture_ros.frames import Frame, View
+from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
 
@@ -427,3 +429,86 @@ def test_beside_other_options(fine_bank, beside):
     assert known.any() and known.all() == (beside.get("unknown") == "nearest")
     assert (estimate.std_dev_m[known] > 0).all()
     assert (estimate.confidence[known] >= config.confidence_threshold).all() or known.all()
+
+
+def stated(poses, deviation_m):
+    """Poses whose covariance says that every step may be off by so much."""
+    grown = np.diag([deviation_m**2] * 3 + [1e-10] * 3)
+    return [Pose(pose, grown * index + 1e-6 * np.eye(6)) for index, pose in enumerate(poses)]
+
+
+def stepping_off(deviation_m):
+    """The way, each step of it off, as that of wheels on sand."""
+    random, poses = np.random.default_rng(3), [WAY[0]]
+    for before, after in pairwise(WAY):
+        step = np.linalg.inv(before) @ after
+        step[:3, 3] += deviation_m * random.normal(size=3)
+        poses.append(poses[-1] @ step)
+    return poses
+
+
+def step_errors(steps):
+    """Errors of the steps' lengths and directions, m, of the way."""
+    true = [np.linalg.inv(WAY[0]) @ pose for pose in WAY]
+    found = [step.pose for step in steps]
+    return [
+        np.linalg.norm((np.linalg.inv(a) @ b - np.linalg.inv(c) @ d)[:3, 3])
+        for (a, b), (c, d) in zip(pairwise(found), pairwise(true), strict=True)
+    ]
+
+
+def test_landmarks_change_a_pose_within_its_covariance():
+    off = stepping_off(0.01)
+    unknown, *_ = walk(off)
+    told, *_ = walk(stated(off, 0.01))
+    assert np.mean(step_errors(told)) < 0.7 * np.mean(step_errors(unknown))
+    assert all(step.told_by_pose for step in told[1:])
+
+
+def test_a_pose_is_taken_at_its_word_where_it_is_sure():
+    told, *_ = walk(stated(WAY, 0.0))
+    assert max(step_errors(told)) < 2e-4
+    exact, *_ = walk(WAY)
+    np.testing.assert_allclose(told[-1].pose, exact[-1].pose, atol=1e-3)
+
+
+def test_a_stated_jump_is_no_contradiction():
+    jumped = [*WAY[:4], *(pose @ moved(x=0.1) for pose in WAY[4:])]
+    grown = [0.0] * 4 + [0.1**2] * 4
+    poses = [
+        Pose(pose, 1e-6 * np.eye(6) + np.diag([more] * 3 + [0] * 3))
+        for pose, more in zip(jumped, grown, strict=True)
+    ]
+    steps, errors, alone = walk(poses)
+    assert not any(step.refused for step in steps)
+    assert errors[4] < alone[4]
+    assert walk(jumped)[0][4].refused
+
+
+def test_what_a_motion_adds_is_not_what_poses_have_in_common():
+    common = np.diag([4.0, 4.0, 4.0, 1e-4, 1e-4, 1e-4])
+    turned = moved(x=1.0, yaw=np.pi / 2)
+    lever = np.eye(6)
+    lever[[1, 2], [5, 4]] = 1.0, -1.0  # turns about z and y move what is at x along y and z
+    after = lever @ common @ lever.T + np.diag([0.04, 0, 0, 0, 0, 0.09])
+    found = motion_covariance(Pose(np.eye(4), common), Pose(turned, after))
+    # About the axes of the later view, which has x of the first along z.
+    np.testing.assert_allclose(found, np.diag([0, 0, 0.04, 0.09, 0, 0]), atol=1e-9)
+    shrunk = motion_covariance(Pose(np.eye(4), 2 * common), Pose(np.eye(4), common))
+    np.testing.assert_allclose(shrunk, common, atol=1e-9)
+    assert motion_covariance(Pose(np.eye(4)), Pose(turned, after)) is None
+
+
+def test_what_is_carried_by_an_uncertain_motion_counts_less():
+    light, depth = seen(WAY[0], box=False)
+    sure = Belief(1 / depth, np.full(depth.shape, 1e-6, np.float32), np.ones_like(depth))
+    exact, off = (
+        carried(sure, light, light, VIEW, np.eye(4), 1.0, off_px) for off_px in (0.0, 1.0)
+    )
+    np.testing.assert_array_equal(exact.inverse, off.inverse)
+    assert (off.variance > 5 * exact.variance).all()
+    earlier = Seen(light, WAY[0])
+    later, _ = seen(WAY[3], box=False)
+    doubted = earlier.carried(np.eye(4), np.diag([0.02**2] * 3 + [0] * 3))
+    spreads = [by_parallax(later, each, WAY[3], VIEW, sure).variance for each in (earlier, doubted)]
+    assert np.median(spreads[1]) > 1.5 * np.median(spreads[0])

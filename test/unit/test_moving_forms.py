@@ -63,7 +63,8 @@ def test_forms_of_fusion(random):
 
 @pytest.mark.parametrize("keep", [0.0, 0.9])
 def test_forms_of_carrying(random, keep):
-    past, trust = belief(random), (np.float32(keep), np.float32(1.1))
+    past = belief(random)
+    trust = np.float32(keep), np.float32(1.1), np.float32(3e-4)
     lights = tuple(random.uniform(0.1, 0.5, (2, *SHAPE)).astype(np.float32))
     found = [tuple(np.full((3, *SHAPE), 7, np.float32)) for _ in range(3)]
     all_forms = zip(forms(carrying.carry), forms(carrying.fill_cracks), found, strict=True)

@@ -15,6 +15,7 @@ from coded_aperture_ros.depth.moving.carrying_plain import (
     STEP_VARIANCE,
     Buffers,
     Lights,
+    Trust,
     carry_plain,
     fill_cracks_plain,
 )
@@ -26,7 +27,7 @@ _SPARSE = 4
 # Square root of 0.5 over the share: an exponential of the square is what light leaves of trust.
 _STEEP = np.float32(0.5**0.5 / LIGHT_SHARE)
 _DARK, _HIDES, _LEAST = np.float32(DARK), np.float32(HIDES), np.float32(LEAST_CONFIDENCE)
-_STEP_VARIANCE, _CRACK_SHARE = np.float32(STEP_VARIANCE), np.float32(CRACK_SHARE)
+_CRACK_SHARE = np.float32(CRACK_SHARE)
 _HALF = np.float32(0.5)
 
 
@@ -37,6 +38,7 @@ def carried(
     view: Pinhole,
     motion: DoubleArray,
     keep: float,
+    off_px: float = 0.0,
 ) -> Belief:
     """Belief of a past frame as the present one sees it; confidence 0 where nothing of it is.
 
@@ -52,6 +54,9 @@ def carried(
         Turns points of the past view into those of the present one.
     keep : float
         Confidence that is left of one, in [0, 1].
+    off_px : float, optional
+        Standard deviation of where points are after the motion, px, beyond what steps of landmarks
+        and poses without a covariance are allowed.
     """
     shape = belief.inverse.shape
     way = view.way(motion)
@@ -63,7 +68,8 @@ def carried(
         np.empty(shape, np.float32),
         np.zeros(light.size, np.float32),
     )
-    trust = np.float32(keep), brighter
+    # A pixel's number is rounded, which is off by the root of a twelfth.
+    trust = np.float32(keep), brighter, np.float32(STEP_VARIANCE * (1 + 12 * off_px**2))
     carry(belief.maps, (light, now), way, trust, buffers, tuple(found))
     fill_cracks(tuple(found))
     return Belief(*found)
@@ -89,14 +95,9 @@ def exposure_ratio(now: FloatArray, then: FloatArray) -> np.float32:
 
 
 def _loop(
-    past: Maps,
-    lights: Lights,
-    way: Way,
-    trust: tuple[np.float32, np.float32],
-    buffers: Buffers,
-    found: Maps,
+    past: Maps, lights: Lights, way: Way, trust: Trust, buffers: Buffers, found: Maps
 ) -> None:
-    (was, now), (turn, shift), (keep, brighter) = lights, way, trust
+    (was, now), (turn, shift), (keep, brighter, step_variance) = lights, way, trust
     inverse, variance, confidence = past
     target, nearer, sure, surest = buffers
     found_inverse, found_variance, found_confidence = found
@@ -137,7 +138,7 @@ def _loop(
             before = inverse[row, column]
             moved = before * near
             if found_confidence[there] == 0 or moved >= found_inverse[there]:
-                spread = variance[row, column] + _STEP_VARIANCE * before * before
+                spread = variance[row, column] + step_variance * before * before
                 found_inverse[there], found_confidence[there] = moved, left
                 found_variance[there] = spread * near * near
 

@@ -24,18 +24,16 @@ Lights = tuple[FloatArray, FloatArray]
 # Where pixels go [rows, columns]: the pixel, by its number, or -1, int32; how much nearer, and how
 # surely, float32. And the surest of all that go to a pixel, float32 [pixels].
 Buffers = tuple[NDArray[np.int32], FloatArray, FloatArray, FloatArray]
+# Confidence that is left of one, by how much the present frame is brighter, and the variance that
+# the step adds, as a share of the squared inverse depth.
+Trust = tuple[np.float32, np.float32, np.float32]
 
 
 def carry_plain(
-    past: Maps,
-    lights: Lights,
-    way: Way,
-    trust: tuple[np.float32, np.float32],
-    buffers: Buffers,
-    found: Maps,
+    past: Maps, lights: Lights, way: Way, trust: Trust, buffers: Buffers, found: Maps
 ) -> None:
     """Form of `carry` for NumPy."""
-    (was, now), (turn, shift), (keep, brighter) = lights, way, trust
+    (was, now), (turn, shift), (keep, brighter, step_variance) = lights, way, trust
     inverse, variance, confidence = past
     rows, columns = inverse.shape
     at_row, at_column = np.indices(inverse.shape, np.float32)
@@ -55,7 +53,7 @@ def carry_plain(
     np.maximum.at(surest, target, sure)
     stands = sure >= np.maximum(HIDES * surest[target], LEAST_CONFIDENCE)
     moved = inverse[inside]
-    spread = (variance[inside] + STEP_VARIANCE * np.square(moved)) * np.square(nearer)
+    spread = (variance[inside] + step_variance * np.square(moved)) * np.square(nearer)
     target, moved, spread, sure = (
         values[stands] for values in (target, moved * nearer, spread, sure)
     )

@@ -61,24 +61,32 @@ class Motion:
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Turn:
-    """Rotation between two views that is known beforehand.
+class Expected:
+    """Motion between two views as it is known beforehand.
 
     Attributes
     ----------
-    matrix : ndarray, float64 [3, 3]
-    deviation : float
-        Standard deviation around each axis, rad.
+    matrix : ndarray, float64 [4, 4]
+    information : ndarray, float64 [6, 6]
+        Inverse of the covariance of its translation, m, and rotation, rad, as the later view has
+        them; 0 where nothing is known.
     """
 
     matrix: DoubleArray
-    deviation: float
+    information: DoubleArray
+
+    @classmethod
+    def turned(cls, matrix: DoubleArray, deviation: float) -> "Expected":
+        """Motion of which only the rotation is known, to a deviation around each axis, rad."""
+        return cls(matrix, np.diag([0, 0, 0, *(deviation**-2.0,) * 3]))
 
     def add_to(self, information: DoubleArray, pull: DoubleArray, matrix: DoubleArray) -> None:
         """Add to the normal equations [6, 6] and [6] of a change of a motion [4, 4]."""
-        weight = (_COMMON / self.deviation) ** 2
-        information[3:, 3:] += weight * np.eye(3)
-        pull[3:] += weight * cv2.Rodrigues(self.matrix @ matrix[:3, :3].T)[0].ravel()
+        turn = self.matrix[:3, :3] @ matrix[:3, :3].T
+        shift = self.matrix[:3, 3] - turn @ matrix[:3, 3]
+        weight = _COMMON**2 * self.information
+        information += weight
+        pull += weight @ np.concatenate([shift, cv2.Rodrigues(turn)[0].ravel()])
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -186,21 +194,25 @@ class Found:
         )
         return cls(seen, pixels[found], float(found.mean()))
 
-    def motion(self, view: Pinhole, guess: DoubleArray, turn: Turn | None = None) -> Motion | None:
+    def motion(
+        self, view: Pinhole, guess: DoubleArray, expected: Expected | None = None
+    ) -> Motion | None:
         """Motion since the frame of the landmarks; None if too few points agree.
 
         A guess [4, 4] from which they all but agree is where it begins.
         """
-        near = self.improved(guess, view, turn)
+        near = self.improved(guess, view, expected)
         if near.misfit < _GOOD_MISFIT and near.share > _GOOD_SHARE:
             return near
         begin = _beginning(self.landmarks, self.pixels, view)
-        motion = None if begin is None else self.improved(begin, view, turn)
+        motion = None if begin is None else self.improved(begin, view, expected)
         return motion if motion is not None and motion.misfit < _MOST_MISFIT else None
 
-    def improved(self, matrix: DoubleArray, view: Pinhole, turn: Turn | None = None) -> Motion:
+    def improved(
+        self, matrix: DoubleArray, view: Pinhole, expected: Expected | None = None
+    ) -> Motion:
         """Likeliest motion near one [4, 4]."""
-        motion = _improved(matrix, self, view, turn)
+        motion = _improved(matrix, self, view, expected)
         return dataclasses.replace(motion, share=motion.share * self.share)
 
     def disagreement(self, matrix: DoubleArray, view: Pinhole) -> float:
@@ -229,13 +241,15 @@ def _beginning(landmarks: Landmarks, pixels: DoubleArray, view: Pinhole) -> Doub
     return matrix
 
 
-def _improved(matrix: DoubleArray, found: Found, view: Pinhole, turn: Turn | None) -> Motion:
+def _improved(
+    matrix: DoubleArray, found: Found, view: Pinhole, expected: Expected | None
+) -> Motion:
     """Likeliest motion near a first one; outliers count less (Cauchy's weights)."""
     for _ in range(_ROUNDS):
         equations = _normal_equations(found.landmarks, found.pixels, view, matrix)
         squares, information, pull = equations
-        if turn is not None:
-            turn.add_to(information, pull, matrix)
+        if expected is not None:
+            expected.add_to(information, pull, matrix)
         # Where nothing tells a direction, nothing changes in it.
         held = information + _HELD * np.trace(information) * np.eye(6)
         change = np.linalg.solve(held, pull)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.carrying import carried
-from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks, Motion, Turn
+from coded_aperture_ros.depth.moving.egomotion import Expected, Found, Landmarks, Motion
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
 from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
+from coded_aperture_ros.depth.moving.uncertainty import deviation_px, motion_covariance
+from coded_aperture_ros.frames.pose import Pose
 
 # How much two frames of a moving camera tell that agree: their errors have much in common. At rest
 # they are the same again; they tell something new if the picture has moved by more than this, px.
@@ -33,6 +35,8 @@ _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 _WRONG, _WRONG_BY = 2.0, 2.0
 # Standard deviation of a turn that is told, as by a gyroscope: rad, and as a share of it.
 _TURN, _TURN_SHARE = 0.001, 0.01
+# No stated covariance of a step is taken to be less: standard deviations, m and rad.
+_LEAST_SHIFT_M, _LEAST_TURN = 1e-4, 1e-5
 # Frames are smoothed, which leaves so much of their noise.
 _SMOOTHING_PX, _SMOOTHED = 0.7, 0.4
 # Least grey of 8 bits that the middle of a frame has where landmarks are looked for, and the ratio
@@ -83,7 +87,7 @@ class _Last:
 
     step: Step
     light: FloatArray
-    given: DoubleArray | None
+    given: Pose | None
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,13 +103,15 @@ class _Moved:
     """Motion since the key frame, [4, 4]; None: unknown.
 
     `by_landmarks` is what they tell, `given` whether it is that of a pose, and `refused` whether
-    the pose contradicts them.
+    the pose contradicts them. `covariance` [6, 6] is that of the step from the last frame, if the
+    poses state one.
     """
 
     since: DoubleArray | None
     by_landmarks: Motion | None = None
     given: bool = False
     refused: bool = False
+    covariance: DoubleArray | None = None
 
 
 class MovingMemory:
@@ -144,7 +150,11 @@ class MovingMemory:
         self._exposure: tuple[float, float] | None = None
 
     def add(
-        self, light: FloatArray, belief: Belief, pose: DoubleArray | None = None, noise: float = 0.0
+        self,
+        light: FloatArray,
+        belief: Belief,
+        pose: Pose | DoubleArray | None = None,
+        noise: float = 0.0,
     ) -> Step:
         """Put the next frame's belief together with what was seen before.
 
@@ -154,9 +164,11 @@ class MovingMemory:
             The frame, linear light.
         belief : Belief
             By this frame alone.
-        pose : ndarray, float64 [4, 4], optional
+        pose : Pose or ndarray, float64 [4, 4], optional
             Turns points of the camera into those of a fixed frame, metres; its last column is NaN
-            where only the turn is known, as by a gyroscope.
+            where only the turn is known, as by a gyroscope. Where its covariance is stated,
+            landmarks change the motion within it, and what is carried and compared counts by as
+            much less.
         noise : float, optional
             Standard deviation of the noise of `light`.
         """
@@ -164,7 +176,8 @@ class MovingMemory:
         roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
         middle = float(np.median(roots[::_SPARSE, ::_SPARSE]))
         image = np.rint(np.minimum(roots * self._greys_of(middle), 255)).astype(np.uint8)
-        last, key, moved = self._last, self._key, self._moved(image, pose)
+        given = None if pose is None else Pose.of(pose)
+        last, key, moved = self._last, self._key, self._moved(image, given)
         if last is None or key is None or moved.since is None:
             self._seen = ()
             step = Step(belief, np.eye(4), begun=True, refused=moved.refused)
@@ -172,7 +185,8 @@ class MovingMemory:
             matrix = moved.since @ np.linalg.inv(key.since)
             place = last.step.pose @ np.linalg.inv(matrix)
             keep = self._keep * self._novelty(last.step.belief, matrix)
-            past = carried(last.step.belief, last.light, smooth, self._view, matrix, keep)
+            off_px = self._spread(matrix, moved.covariance, last.step.belief.middle)
+            past = carried(last.step.belief, last.light, smooth, self._view, matrix, keep, off_px)
             together = fused(past, belief, _AGREEMENT)
             misfit = 1.0 if moved.by_landmarks is None else moved.by_landmarks.misfit
             seen_noise = _SMOOTHED * noise / (2 * middle)
@@ -180,7 +194,7 @@ class MovingMemory:
             step = Step(
                 together, place, moved.by_landmarks, refused=moved.refused, told_by_pose=moved.given
             )
-        self._last = _Last(step, smooth, pose)
+        self._last = _Last(step, smooth, given)
         self._keep_seen(Seen(roots, step.pose), step.belief)
         self._follow(image, step, moved)
         return step
@@ -197,28 +211,53 @@ class MovingMemory:
         self._exposure = middle, greys
         return greys
 
-    def _moved(self, image: NDArray[np.uint8], pose: DoubleArray | None) -> _Moved:
+    def _spread(self, matrix: DoubleArray, covariance: DoubleArray | None, inverse: float) -> float:
+        """Standard deviation of a step's end, px, by its stated covariance; past frames have it."""
+        if covariance is None:
+            covariance = np.zeros((6, 6))
+        self._seen = tuple(seen.carried(matrix, covariance) for seen in self._seen)
+        return deviation_px(covariance, self._view, inverse)
+
+    def _moved(self, image: NDArray[np.uint8], pose: Pose | None) -> _Moved:
         """Find the motion since the key frame, from the last motion on, or check a given one."""
         last, key = self._last, self._key
         if last is None or key is None:
             return _Moved(None)
         given = None
         if pose is not None and last.given is not None:
-            if np.isnan(pose).any() or np.isnan(last.given).any():
-                return self._moved_by_turn(image, last.given, pose)
-            given = np.linalg.inv(pose) @ last.given @ key.since
-            found = Found.of(key.landmarks, image, self._view, given)
-            if found is None:  # nothing contradicts it
-                return _Moved(given, given=True)
-            near = found.improved(given, self._view)
-            if found.disagreement(given, self._view) < _WRONG * near.misfit + _WRONG_BY:
-                return _Moved(given, near, given=True)
+            if np.isnan(pose.matrix).any() or np.isnan(last.given.matrix).any():
+                return self._moved_by_turn(image, last.given.matrix, pose.matrix)
+            given = np.linalg.inv(pose.matrix) @ last.given.matrix @ key.since
+            told = self._moved_by_pose(image, given, motion_covariance(last.given, pose))
+            if told is not None:
+                return told
         found = Found.of(key.landmarks, image, self._view, key.since)
         motion = None if found is None else found.motion(self._view, key.since)
         if motion is not None:
             return _Moved(motion.matrix, motion, refused=given is not None)
         # Where most of the view moves by itself, no one motion contradicts a pose.
         return _Moved(given, given=given is not None)
+
+    def _moved_by_pose(
+        self, image: NDArray[np.uint8], given: DoubleArray, covariance: DoubleArray | None
+    ) -> _Moved | None:
+        """Check a given motion since the key frame; None if landmarks contradict it.
+
+        Within its covariance, if one is stated, they change it.
+        """
+        assert self._key is not None  # there is a last frame
+        found = Found.of(self._key.landmarks, image, self._view, given)
+        if found is None:  # nothing contradicts it
+            return _Moved(given, given=True, covariance=covariance)
+        near, matrix = found.improved(given, self._view), given
+        if covariance is not None:
+            least = np.diag([_LEAST_SHIFT_M**2] * 3 + [_LEAST_TURN**2] * 3)
+            told = Expected(given, np.asarray(np.linalg.inv(covariance + least)))
+            together = found.improved(given, self._view, told)
+            matrix, covariance = together.matrix, together.covariance
+        if found.disagreement(matrix, self._view) >= _WRONG * near.misfit + _WRONG_BY:
+            return None
+        return _Moved(matrix, near, given=True, covariance=covariance)
 
     def _moved_by_turn(
         self, image: NDArray[np.uint8], before: DoubleArray, now: DoubleArray
@@ -231,8 +270,8 @@ class MovingMemory:
         found = Found.of(key.landmarks, image, self._view, guess)
         if found is not None:
             angle = np.arccos(np.clip((np.trace(guess[:3, :3]) - 1) / 2, -1, 1))
-            turn = Turn(guess[:3, :3], _TURN + _TURN_SHARE * float(angle))
-            motion = found.motion(self._view, guess, turn)
+            told = Expected.turned(guess, _TURN + _TURN_SHARE * float(angle))
+            motion = found.motion(self._view, guess, told)
             if motion is not None:
                 return _Moved(motion.matrix, motion)
         found = Found.of(key.landmarks, image, self._view, key.since)

@@ -5,6 +5,7 @@ the motion was found by depth from this lens, else of the robot's pose.
 """
 
 import dataclasses
+import math
 
 import cv2
 import numpy as np
@@ -16,9 +17,10 @@ from coded_aperture_ros.depth.moving.edges import settled
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Way
 from coded_aperture_ros.depth.moving.matching import compare, differ, judge
 from coded_aperture_ros.depth.moving.matching_plain import LEAST_INVERSE, WINDOW_PX
+from coded_aperture_ros.depth.moving.uncertainty import carries, deviation_px
 
 # No match is better than this, px, as blur changes from place to place; nor is it where landmarks
-# fit the motion worse than expected.
+# fit the motion worse than expected, or the pose is stated to be less certain.
 _FINEST_PX = 0.3
 # Least standard deviation of the difference of two frames, in square roots of light.
 _LEAST_NOISE = 0.001
@@ -39,10 +41,18 @@ class Seen:
         Square roots of smoothed linear light.
     pose : ndarray, float64 [4, 4]
         Turns points of its camera into those of the world.
+    covariance : ndarray, float64 [6, 6]
+        Of the motion since, as stated poses have it; 0 where nothing is stated.
     """
 
     roots: FloatArray
     pose: DoubleArray
+    covariance: DoubleArray = dataclasses.field(default_factory=lambda: np.zeros((6, 6)))
+
+    def carried(self, motion: DoubleArray, covariance: DoubleArray) -> "Seen":
+        """The frame after one more motion [4, 4], with a covariance [6, 6]."""
+        carry = carries(motion)
+        return dataclasses.replace(self, covariance=carry @ self.covariance @ carry.T + covariance)
 
 
 def by_parallax(
@@ -78,6 +88,7 @@ def by_parallax(
     epipolar line, by inverse depth.
     """
     shape, way = view.shape, view.way(np.linalg.inv(seen.pose) @ pose)
+    off_px = deviation_px(seen.covariance, view, belief.middle)
     noise = max(2**0.5 * noise, _LEAST_NOISE)
     inverse = np.maximum(belief.inverse, np.float32(LEAST_INVERSE))
     some = _Sparse(np.ascontiguousarray(now[::_SPARSE, ::_SPARSE]), seen.roots, way)
@@ -88,7 +99,8 @@ def by_parallax(
     products, scales, found = (np.empty((count, *shape), np.float32) for count in (4, 2, 3))
     compare((now, seen.roots), way, inverse, tuple(scales), tuple(products))
     means = tuple(cv2.blur(product, (WINDOW_PX, WINDOW_PX)) for product in products)
-    limits = np.float32(noise), np.float32(_FINEST_PX * max(misfit, 1.0) ** 0.5)
+    finest_px = math.hypot(_FINEST_PX * max(misfit, 1.0) ** 0.5, off_px)
+    limits = np.float32(noise), np.float32(finest_px)
     variance = np.ascontiguousarray(belief.variance)
     judge(means, tuple(scales), (inverse, variance), limits, tuple(found))
     return Belief(*found)

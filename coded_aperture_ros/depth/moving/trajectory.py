@@ -7,6 +7,7 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray
 from coded_aperture_ros.depth.moving.memory import Step
+from coded_aperture_ros.depth.moving.uncertainty import carries
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,14 +72,7 @@ class Trajectory:
         # Points of the last view into those of this one.
         into = np.asarray(np.linalg.inv(self._step), np.float64)
         by_landmarks = np.zeros((6, 6)) if step.motion is None else step.motion.covariance
-        carried = _carries(into)
+        carried = carries(into)
         self._covariance = carried @ self._covariance @ carried.T + by_landmarks
         moved = np.concatenate([-into[:3, 3], -cv2.Rodrigues(into[:3, :3])[0].ravel()])
         return Place(pose, self._covariance, moved + 0.0, by_landmarks)
-
-
-def _carries(into: DoubleArray) -> DoubleArray:
-    """Matrix that turns translations and rotations of one view into those of another [6, 6]."""
-    turn, (x, y, z) = into[:3, :3], into[:3, 3]
-    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.block([[turn, across @ turn], [np.zeros((3, 3)), turn]])
