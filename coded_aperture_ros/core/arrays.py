@@ -1,6 +1,5 @@
 """Types of arrays, and the functions for arrays of a kind: of NumPy, or tensors of PyTorch."""
 
-import sys
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
@@ -23,12 +22,13 @@ def as_floats(values: NDArray[Any]) -> FloatArray:
 
 
 def namespace(array: Any) -> Any:
-    """Module whose functions take an array: NumPy, or PyTorch for its tensors.
+    """Module whose functions take an array: NumPy, or `core.tensors.functions` for tensors.
 
-    Only functions that both have by the same name and with the same meaning serve both, such as
-    `where`, `clip`, `stack`, `amin` and `argmax`, with axes by position.
+    Only functions that have one meaning in both serve both, such as `where`, `clip`, `stack`,
+    `amin` and `argmax`, with axes by position, and with arrays or tensors as their first argument.
     """
-    return np if isinstance(array, np.ndarray) else sys.modules["torch"]
+    of_numpy = isinstance(array, np.ndarray)
+    return np if of_numpy else import_module("coded_aperture_ros.core.tensors.functions")
 
 
 def filters(array: Any) -> Any:

@@ -4,9 +4,16 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray, constant
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    IndexArray,
+    constant,
+    namespace,
+)
 from coded_aperture_ros.core.compiled import Compiled
-from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.depth.camera_depths import depths_by_camera
 from coded_aperture_ros.depth.levels_plain import STEPS, Maps, look_up_plain
 from coded_aperture_ros.likelihood import BlurLevels, LikelihoodModel
 from coded_aperture_ros.optics import Camera
@@ -100,7 +107,7 @@ class Levels:
         """
         stack = model.stack
         by_camera = camera if camera is not None and not depths_are_measured(model) else None
-        depths = stack.depths_m if by_camera is None else _depths_by_camera(model, by_camera)
+        depths = stack.depths_m if by_camera is None else depths_by_camera(model, by_camera)
         count = len(stack)
         level = np.linspace(0, count - 1, (count - 1) * STEPS + 1)
         size = np.interp(level, np.arange(count), stack.blur_sizes_px)
@@ -156,8 +163,8 @@ class Levels:
     def nearer(self, level: FloatArray, other: FloatArray) -> FloatArray:
         """Nearer of two levels at every pixel, float32 of their shape."""
         # Depth grows or falls with the level's index.
-        choose = np.minimum if self.nearest_first[0] == 0 else np.maximum
-        return np.asarray(choose(level, other))
+        choose = "minimum" if self.nearest_first[0] == 0 else "maximum"
+        return getattr(namespace(level), choose)(level, other)
 
     def metric_maps(
         self, level: FloatArray, deviation: FloatArray, unknown: BoolArray
@@ -181,15 +188,17 @@ class Levels:
         """
         tables = self._size_table, self._depth_table, self._metres_per_level
         known = tuple(self._size_table if table is None else table for table in tables)
-        flat = tuple(np.empty(level.size, np.float32) for _ in range(4))
-        look_up(level.ravel(), deviation.ravel(), unknown.ravel(), known, flat)
+        xp = namespace(level)
+        flat = tuple(xp.empty_like(level.ravel()) for _ in range(4))
+        fill = look_up if xp is np else look_up_plain
+        fill(level.ravel(), deviation.ravel(), unknown.ravel(), known, flat)
         known_level, size_px, depth_m, std_dev_m = (values.reshape(level.shape) for values in flat)
         if self._depth_table is None:
             return known_level, size_px, None, None
         if self._curved is not None:
             axial_m, depth_m = depth_m, self._curved.field_corrected_depth(depth_m)
             # What is at infinity on the axis has no deviation that could be carried over.
-            std_dev_m = std_dev_m * np.square(np.where(np.isinf(axial_m), 1, depth_m / axial_m))
+            std_dev_m = std_dev_m * xp.where(xp.isinf(axial_m), 1, depth_m / axial_m) ** 2
         return known_level, size_px, depth_m, std_dev_m
 
     def depth_m(self, level: FloatArray, unknown: BoolArray | None = None) -> FloatArray | None:
@@ -198,8 +207,8 @@ class Levels:
         NaN where it is unknown. `level` is of the whole image, without NaN.
         """
         if unknown is None:
-            unknown = np.zeros(level.shape, np.bool_)
-        return self.metric_maps(level, np.zeros_like(level), unknown)[2]
+            unknown = level < 0
+        return self.metric_maps(level, level, unknown)[2]
 
 
 def depths_are_measured(model: BlurLevels) -> bool:
@@ -242,36 +251,7 @@ def _agreement(count: int, depths_m: DoubleArray | None) -> IndexArray:
 def check_camera(model: BlurLevels, camera: Camera) -> None:
     """Raise `InputError` if a camera cannot give the depths of a model's levels."""
     if not depths_are_measured(model):
-        _depths_by_camera(model, camera)
-
-
-def _depths_by_camera(model: BlurLevels, camera: Camera) -> DoubleArray:
-    """Depth of every level [m], float64 [L]; `InputError` if the model is not for the camera."""
-    sizes = model.stack.blur_sizes_px
-    if not model.stack.in_pixels or model.stack.nominal:
-        raise InputError(
-            "camera: the bank's PSFs were measured without their sizes, so a camera cannot "
-            "tell their depths: learn the bank with the depths (--depths) or sizes_px"
-        )
-    if model.mask_digest not in ("", camera.mask.digest):
-        raise InputError(
-            f"camera: its mask {camera.mask.name} is not the one that the bank was "
-            f"learned for ({model.learned_from}): learn the bank for this camera"
-        )
-    far = {"far": 1, "near": -1, "both": 0}[camera.side]
-    if (sizes * far < 0).any():
-        raise InputError(
-            f"camera: its side is {camera.side}, but the bank has blur sizes of the other "
-            "side of the focal plane: learn the bank for this camera"
-        )
-    depths = camera.depth_m(sizes)
-    if not np.isfinite(depths).any():
-        raise InputError(
-            f"camera: no point gives the bank's blur sizes of {sizes.min():g} to "
-            f"{sizes.max():g} px, its blur at infinity is {camera.blur_at_infinity_px:g} px: "
-            "learn the bank for this camera"
-        )
-    return depths
+        depths_by_camera(model, camera)
 
 
 def _loop(

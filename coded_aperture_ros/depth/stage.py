@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, Shape
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, Shape, namespace
 from coded_aperture_ros.core.blas import one_blas_thread
 from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.decoders.decoded import Decoded
@@ -177,7 +177,8 @@ class Work:
 
     def add_layer(self, spec: LayerSpec, values: FloatArray, note: str = "") -> None:
         """Add a layer; it is float32."""
-        self.layers[spec.name] = Layer(spec, np.asarray(values, np.float32), note)
+        xp = namespace(values)
+        self.layers[spec.name] = Layer(spec, xp.asarray(values, dtype=xp.float32), note)
 
     def estimate(self) -> DepthEstimate:
         """What was found, in maps of the size that was asked for."""

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, Shape, namespace
 from coded_aperture_ros.frames import PatchGrid
 
 # Levels: where the four patches around a pixel differ by more, there is a depth edge between them,
@@ -81,12 +81,15 @@ class MapGrid:
     def nearest_patch_values(self, values: NDArray) -> NDArray:
         """Value of the nearest patch at every pixel [map rows, map columns, ...]."""
         rows, columns = self.patches
-        return np.take(np.take(values, columns, axis=1), rows, axis=0)
+        xp = namespace(values)
+        return xp.take(xp.take(values, columns, axis=1), rows, axis=0)
 
     def values_at_patches(self, values: NDArray) -> NDArray:
         """Value of a map at the centre of every patch [grid rows, grid columns]."""
         axes = _axes(self.grid, self.frame_shape, self.size)
-        return values[np.ix_(*(centres * length // whole for centres, whole, length in axes))]
+        rows, columns = (centres * length // whole for centres, whole, length in axes)
+        xp = namespace(values)
+        return xp.take(xp.take(values, rows, axis=0), columns, axis=1)
 
 
 def _axes(

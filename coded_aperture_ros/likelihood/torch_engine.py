@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import torch
 
-from coded_aperture_ros.core.arrays import FloatArray, PerPatch, namespace
+from coded_aperture_ros.core.arrays import FloatArray, PerPatch
 from coded_aperture_ros.core.tensors.transfer import copy_without_waiting
 from coded_aperture_ros.core.workers import check_threads
 from coded_aperture_ros.likelihood.plan import Plan
@@ -88,7 +88,7 @@ class TorchEngine:
         Of a tensor on the device the energies are a tensor, too, and nothing waits for them.
         """
         here, frame = self._buffers.frame
-        self._stays = namespace(grey) is torch
+        self._stays = isinstance(grey, torch.Tensor)
         if self._stays:
             frame.copy_(self._plan.crop(grey))
         else:

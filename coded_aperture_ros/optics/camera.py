@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, constant, namespace
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import check_option
 from coded_aperture_ros.frames import View, is_same_view
@@ -278,12 +278,14 @@ class Camera:
         """
         if self.field_curvature is None:
             return axial_depth_m
+        xp = namespace(axial_depth_m)
         defocus = self.field_curvature.defocus_map(self.intrinsics, axial_depth_m.shape)
+        defocus = constant(defocus, axial_depth_m)
         mask_m = self.lens_mask_distance_mm * 1e-3
         with np.errstate(divide="ignore"):
             inverse = 1 / axial_depth_m
             inverse -= defocus * (1 - mask_m * inverse) / (1 - mask_m / self.focus_distance_m)
-            return np.asarray(np.where(inverse <= 0, np.inf, 1 / inverse), np.float32)
+            return xp.asarray(xp.where(inverse <= 0, np.inf, 1 / inverse), dtype=xp.float32)
 
     def field_psf(
         self, mask: Mask, blur_size_px: float, tangent: DoubleArray, width: int = 0

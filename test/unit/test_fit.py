@@ -268,22 +268,6 @@ def test_a_video_is_checked_now_and_then_and_remembered(bank, scene):
     estimator.close()
 
 
-@pytest.mark.parametrize("remembers", [False, True])
-def test_a_frame_that_is_looked_at_before_has_the_same_health(bank, scene, remembers):
-    checks = [FitCheck(bank.stack, remembers=remembers) for _ in range(2)]
-    estimator = DepthEstimator(bank, DepthConfig(check_fit=False, confidence_threshold=0.0))
-    healths, zhou = [], Mask.named("zhou")
-    for mask in (None, None, zhou, None, zhou, None):
-        work = estimator.run_front(recorded(scene.coded(mask) if mask else scene.coded()))
-        estimator.run_back(work)
-        checks[0].begin(work.observation)
-        given = work.observation, work.frame_cost.misfit, work.level, work.confidence
-        healths.append([check(*given) for check in checks])
-    assert all(begun == usual for begun, usual in healths)
-    assert len({str(begun) for begun, _ in healths}) == 2
-    estimator.close()
-
-
 @pytest.mark.parametrize(
     ("value", "left"), [(0.9, 0.8), (0.7, 0.8), (0.45, 0.35), (0.2, 0.2), (0.0, 0.2)]
 )

@@ -112,12 +112,12 @@ def test_like_colours_are_averaged_as_by_opencv(torch):
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_tensors_are_interpolated_as_by_numpy(torch, order):
-    from coded_aperture_ros.core.tensors.interpolation import interpolate
+    from coded_aperture_ros.core.tensors.functions import interp
 
     places = np.sort(RANDOM.random(9))
     values = np.arange(9)[::order]
     at = np.append(RANDOM.uniform(-0.1, 1.1, 60), places).astype(np.float32)
-    found = interpolate(torch.from_numpy(at), places, values).numpy()
+    found = interp(torch.from_numpy(at), places, values).numpy()
     assert found == pytest.approx(np.interp(at, places, values), abs=1e-4)
 
 

@@ -33,12 +33,15 @@ __all__ = [
     "INTER_NEAREST",
     "INTER_NEAREST_EXACT",
     "GaussianBlur",
+    "absdiff",
     "bilateralFilter",
     "blur",
     "copyMakeBorder",
     "dilate",
     "erode",
+    "medianBlur",
     "resize",
+    "sepFilter2D",
 ]
 
 FloatArray = NDArray[np.float32]
@@ -58,6 +61,43 @@ def GaussianBlur(  # noqa: N802  OpenCV's name
 ) -> torch.Tensor:
     """Gaussian mean around every pixel; see ``cv2.GaussianBlur``."""
     return _filtered(picture, ("gaussian", sigma), ("gaussian", sigma))
+
+
+def sepFilter2D(  # noqa: N802  OpenCV's name
+    picture: torch.Tensor, depth: int, across: FloatArray, down: FloatArray
+) -> torch.Tensor:
+    """Picture filtered along both axes, of its own type; see ``cv2.sepFilter2D``."""
+    return _filtered(picture, ("kernel", *down.tolist()), ("kernel", *across.tolist()))
+
+
+def absdiff(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
+    """Difference without sign; see ``cv2.absdiff``."""
+    return (one - other).abs()
+
+
+def medianBlur(picture: torch.Tensor, side: int) -> torch.Tensor:  # noqa: N802  OpenCV's name
+    """Median of the three by three pixels around every one; see ``cv2.medianBlur``."""
+    if side != 3:
+        raise ValueError(f"expected a median of three by three pixels, got a side of {side}")
+    rows, columns = picture.shape
+    around = copyMakeBorder(picture, 1, 1, 1, 1, BORDER_REPLICATE)
+    low, middle, high = _ordered(*(around[i : i + rows] for i in range(3)))
+
+    def beside(values: torch.Tensor) -> list[torch.Tensor]:
+        return [values[:, j : j + columns] for j in range(3)]
+
+    largest = torch.maximum(torch.maximum(*beside(low)[:2]), beside(low)[2])
+    least = torch.minimum(torch.minimum(*beside(high)[:2]), beside(high)[2])
+    return _ordered(largest, _ordered(*beside(middle))[1], least)[1]
+
+
+def _ordered(
+    a: torch.Tensor, b: torch.Tensor, c: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Smallest, middle and largest of three values."""
+    low, high = torch.minimum(a, b), torch.maximum(a, b)
+    rest = torch.minimum(high, c)
+    return torch.minimum(low, c), torch.maximum(low, rest), torch.maximum(high, c)
 
 
 def bilateralFilter(  # noqa: N802  OpenCV's name
@@ -143,6 +183,10 @@ def _gaussian(unit: FloatArray, sigma: float) -> NDArray[np.floating]:
     return np.stack([cv2.GaussianBlur(one, (0, 0), sigma)[:, 1] for one in flat], axis=1)
 
 
+def _kernel(unit: FloatArray, *weights: float) -> NDArray[np.floating]:
+    return cv2.sepFilter2D(unit, -1, np.ones(1, np.float32), np.array(weights, np.float32))
+
+
 def _resize(
     unit: FloatArray, length: float, scale: float, interpolation: float
 ) -> NDArray[np.floating]:
@@ -154,6 +198,7 @@ def _resize(
 _KINDS: dict[str, Callable[..., NDArray[np.floating]]] = {
     "blur": _blur,
     "gaussian": _gaussian,
+    "kernel": _kernel,
     "resize": _resize,
 }
 

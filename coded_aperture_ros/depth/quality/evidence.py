@@ -2,11 +2,21 @@
 
 import dataclasses
 from functools import lru_cache
+from typing import Any
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    IndexArray,
+    constant,
+    filters,
+    namespace,
+    zeros,
+)
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.depth.quality.spectra import (
@@ -37,7 +47,7 @@ from coded_aperture_ros.optics import PsfStack
 
 # Step between possible windows, px; the most textured one of every cell of the frame is chosen.
 _STRIDE_PX = 8
-_FEWEST_WINDOWS = 4
+FEWEST_WINDOWS = 4
 # Side of the box that texture is measured against, px.
 _BLUR_PX = 15
 # Largest share of unusable pixels in a window.
@@ -60,11 +70,12 @@ _MAP_LEAST = 30
 class Evidence:
     """Features of a frame's windows, and the blur size of each."""
 
-    features: list[float]  # for the network
+    features: list[Any]  # numbers for the network
     rows: IndexArray  # [n]; pixels at the windows' centres
     columns: IndexArray
     size_px: DoubleArray  # [n]; blur size of the likeliest level, without sign
     weight: DoubleArray  # [n]; by texture; the sum is 1
+    counted: BoolArray  # [n]; on a device there are others, without weight
 
 
 class HypothesisTest:
@@ -81,10 +92,10 @@ class HypothesisTest:
         elif beyond.psfs:
             others["beyond"] = PsfHypotheses.from_psfs(beyond.psfs)
         self._sizes_px, self._own = own.sizes_px, PsfHypotheses.from_psfs(own.psfs)
-        groups = [others[name] for name in NAMES if name in others]
-        self._others = PsfHypotheses.concatenate(groups)
-        self._starts = np.cumsum([0, *(group.weights.shape[1] for group in groups[:-1])])
-        self._present = np.flatnonzero([name in others for name in NAMES])
+        self._others = PsfHypotheses.concatenate(list(others.values()))
+        ends = np.cumsum([group.weights.shape[1] for group in others.values()])
+        starts = [0, *ends[:-1]]
+        self._groups = dict(zip(others, map(slice, starts, ends), strict=True))
 
     def score(
         self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
@@ -102,101 +113,130 @@ class HypothesisTest:
         cells : int
             Most windows along each side of the frame.
         """
-        tops, lefts = chosen_windows(grey, unusable, cells)
-        if len(tops) < _FEWEST_WINDOWS:
+        tops, lefts, counted = windows_of_cells(grey, unusable, cells)
+        if len(tops) < FEWEST_WINDOWS:
             return None
-        cuts = [
-            np.s_[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in zip(tops, lefts, strict=True)
-        ]
-        power = power_spectra(np.stack([grey[cut] for cut in cuts])) / np.float32(noise**2)
-        scores = negative_log_likelihood(power, self._own)
-        best = scores.reshape(len(power), -1).argmin(axis=1)
-        contrast, kind = np.unravel_index(best, scores.shape[1:])
-        level, slope = np.divmod(kind, len(SLOPES))
-        least = scores[np.arange(len(power)), contrast, kind]
-        better = self._gains(power, least, contrast)
+        xp, own = namespace(grey), self._own.like(grey)
+        power = power_spectra(cut_windows(grey, tops, lefts)) / noise**2
+        scores = negative_log_likelihood(power, own).reshape(len(power), -1)
+        best, kinds = scores.argmin(1), own.weights.shape[1]
+        contrast, kind = best // kinds, best % kinds
+        level, slope = kind // len(SLOPES), kind % len(SLOPES)
+        least = xp.amin(scores, 1)
+        # Those that do not count must not widen the range.
+        lowest = xp.amin(xp.where(counted, contrast, len(own.weights)))
+        near = self._others.near_contrasts(lowest, xp.amax(contrast * counted))
+        better = self._gains(power, least, near)
         # Residual of the best hypothesis: 1 on the mean, and scattered like the power of noise.
-        share = frequencies().share
-        own_noise = np.exp(least - self._own.log_determinants[contrast, kind])
-        residual = self._own.weights[contrast, kind] * power
+        share = constant(frequencies().share, grey)
+        own_noise = xp.exp(least - own.log_determinants[contrast, kind])
+        residual = own.weights[contrast, kind] * power
         residual /= share
         residual /= own_noise[:, None]
-        scatter = -(np.log(np.maximum(residual, 1e-6)) @ share)
-        texture = np.log10(np.maximum(power @ share, 1.0))
-        weight = np.clip(texture - 0.15, 0.02, 1.5)
+        scatter = -(xp.log(xp.maximum(residual, 1e-6)) @ share)
+        texture = xp.log10(xp.maximum(power @ share, 1.0))
+        weight = xp.clip(texture - 0.15, 0.02, 1.5) * counted
         weight /= weight.sum()
-        sizes_px, logarithm = self._sizes_px, np.log(own_noise)
-        ordered = np.sort(better, axis=1)
-        clipped = np.clip(better, -_MOST_GAIN, _MOST_GAIN)
-        extreme = np.clip(better, -_EXTREME_GAIN, _EXTREME_GAIN)
+        sizes_px, logarithm = self._sizes_px, xp.log(own_noise)
+        size_px = constant(sizes_px, grey)[level]
+        extreme = xp.clip(better, -_EXTREME_GAIN, _EXTREME_GAIN)
+
+        def mean(values: NDArray[Any]) -> Any:
+            return weight @ xp.asarray(values, dtype=xp.float32)
+
         features = [
-            *(weight @ clipped),
-            *quantiles(extreme, 0.25, 0.5, 0.75, 0.9).flat,
-            *(weight @ (better > _GAIN)),
-            *(weight @ (better < -_GAIN)),
-            *(weight @ np.clip(ordered[:, [-1, -2]], -_MOST_GAIN, _MOST_GAIN)),
-            weight @ scatter,
-            *quantiles(scatter, 0.25, 0.75),
-            weight @ logarithm,
-            *quantiles(logarithm, 0.25),
-            texture.mean(),
-            *quantiles(texture, 0.9),
-            weight @ (level == 0),
-            weight @ (level == len(sizes_px) - 1),
-            weight @ sizes_px[level] / _SIZE_UNIT_PX,
+            *mean(xp.clip(better, -_MOST_GAIN, _MOST_GAIN)),
+            *quantiles(extreme, 0.25, 0.5, 0.75, 0.9, where=counted).ravel(),
+            *mean(better > _GAIN),
+            *mean(better < -_GAIN),
+            *mean(xp.clip(-xp.sort(-better, axis=1)[:, :2], -_MOST_GAIN, _MOST_GAIN)),
+            mean(scatter),
+            *quantiles(scatter, 0.25, 0.75, where=counted),
+            mean(logarithm),
+            *quantiles(logarithm, 0.25, where=counted),
+            (texture * counted).sum() / counted.sum(),
+            *quantiles(texture, 0.9, where=counted),
+            mean(level == 0),
+            mean(level == len(sizes_px) - 1),
+            mean(size_px) / _SIZE_UNIT_PX,
             sizes_px.min() / _SIZE_UNIT_PX,
             sizes_px.max() / _SIZE_UNIT_PX,
-            weight @ (slope == 0),
-            weight @ (contrast == len(self._own.weights) - 1),
-            *_residuals(np.minimum(residual, _LARGEST_RESIDUAL), sizes_px[level], weight),
+            mean(slope == 0),
+            mean(contrast == len(own.weights) - 1),
+            *_residuals(xp.minimum(residual, _LARGEST_RESIDUAL), size_px, weight),
         ]
         half = WINDOW_PX // 2
-        return Evidence(
-            [float(x) for x in features], tops + half, lefts + half, sizes_px[level], weight
-        )
+        return Evidence(features, tops + half, lefts + half, size_px, weight, counted)
 
-    def _gains(self, power: FloatArray, least: FloatArray, contrast: IndexArray) -> FloatArray:
+    def _gains(self, power: FloatArray, least: FloatArray, near: PsfHypotheses) -> FloatArray:
         """Gain of each alternative over the bank for each window [n, len(NAMES)], hundredths.
 
         Only contrasts near those that explain the windows best are tried: others take time and
         change nothing.
         """
-        found = np.full((len(power), len(NAMES)), _MISSING_GAIN, np.float32)
-        each = negative_log_likelihood(power, self._others.near_contrasts(contrast)).min(axis=1)
-        best = np.minimum.reduceat(each, self._starts, axis=1)
-        found[:, self._present] = 100 * (least[:, None] - best)
-        return found
+        xp = namespace(power)
+        each = xp.amin(negative_log_likelihood(power, near), 1)
+        tried = {
+            name: 100 * (least - xp.amin(each[:, group], 1)) for name, group in self._groups.items()
+        }
+        missing = xp.full_like(least, _MISSING_GAIN)
+        return xp.stack([tried.get(name, missing) for name in NAMES], -1)
 
 
-def chosen_windows(
+def windows_of_cells(
     grey: FloatArray, unusable: BoolArray | None, cells: int
-) -> tuple[IndexArray, IndexArray]:
-    """First row and column of the most textured window of every cell [n]."""
+) -> tuple[IndexArray, IndexArray, BoolArray]:
+    """First row and column of the most textured window of every cell, and which have texture [n].
+
+    Those without are left out, but on a device, which is not waited for.
+    """
     try:
         grid = PatchGrid.covering(grey.shape, WINDOW_PX, _STRIDE_PX)
     except InputError:
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    half = WINDOW_PX // 2
-    some = grey[::2]  # every other row is enough for the texture
-    fine = cv2.absdiff(some, cv2.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
+        return np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros(0, np.bool_)
+    xp, cv, some = namespace(grey), filters(grey), grey[::2]  # is enough for the texture
+    fine = cv.absdiff(some, cv.blur(some, (_BLUR_PX, _BLUR_PX // 2)))
     blocks = [max(length // _STRIDE_PX, 1) for length in grey.shape[::-1]]
-    mean = cv2.blur(cv2.resize(fine, blocks, interpolation=cv2.INTER_AREA), (3, 3))
+    mean = cv.blur(cv.resize(fine, blocks, interpolation=cv.INTER_AREA), (3, 3))
     texture = grid.centre_values(mean, _STRIDE_PX)
     if unusable is not None:
-        share = window_means(unusable.astype(np.float32), grid, WINDOW_PX * 3 // 4)
-        texture[share > _UNUSABLE_SHARE] = -1
-    found = []
-    down, across = (
-        np.array_split(np.arange(length), min(cells, length)) for length in texture.shape
+        unusable_px = xp.asarray(unusable, dtype=xp.float32)
+        share = window_means(unusable_px, grid, WINDOW_PX * 3 // 4)
+        texture = xp.where(share > _UNUSABLE_SHARE, -1.0, texture)
+    rows, columns = (_cells_of_axis(length, cells) for length in texture.shape)
+    of_cells = xp.take(xp.take(texture, rows.ravel(), axis=0), columns.ravel(), axis=1)
+    of_cells = of_cells.reshape(*rows.shape, *columns.shape).swapaxes(1, 2)
+    of_cells = of_cells.reshape(-1, rows.shape[1] * columns.shape[1])
+    best, textured = of_cells.argmax(1), xp.amax(of_cells, 1) > 0
+    cell = np.arange(len(rows) * len(columns))
+    at_row, at_column = (
+        constant(starts, grey) - WINDOW_PX // 2
+        for starts in (
+            grid.row_centres[rows[cell // len(columns)]],
+            grid.column_centres[columns[cell % len(columns)]],
+        )
     )
-    for rows in down:
-        for columns in across:
-            cell = texture[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-            row, column = divmod(int(cell.argmax()), len(columns))
-            if cell[row, column] > 0:
-                found.append((rows[row], columns[column]))
-    at_row, at_column = np.array(found, np.intp).reshape(-1, 2).T
-    return grid.row_centres[at_row] - half, grid.column_centres[at_column] - half
+    of_each, width = constant(cell, grey), columns.shape[1]
+    tops, lefts = at_row[of_each, best // width], at_column[of_each, best % width]
+    if xp is np:
+        return tops[textured], lefts[textured], textured[textured]
+    return tops, lefts, textured
+
+
+def _cells_of_axis(length: int, cells: int) -> IndexArray:
+    """Indices of every cell along an axis; the last is repeated in shorter cells."""
+    groups = np.array_split(np.arange(length), min(cells, length))
+    longest = len(groups[0])
+    return np.array([np.pad(group, (0, longest - len(group)), "edge") for group in groups])
+
+
+def cut_windows(grey: FloatArray, tops: IndexArray, lefts: IndexArray) -> FloatArray:
+    """Windows of a frame [n, N, N]."""
+    if namespace(grey) is np:
+        at = zip(tops, lefts, strict=True)
+        return np.stack([grey[t : t + WINDOW_PX, x : x + WINDOW_PX] for t, x in at])
+    frame: Any = grey
+    return frame.unfold(0, WINDOW_PX, 1).unfold(1, WINDOW_PX, 1)[tops, lefts]
 
 
 def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) -> list[float]:
@@ -205,26 +245,32 @@ def _residuals(residual: FloatArray, size_px: DoubleArray, weight: DoubleArray) 
     By frequency and direction, for motion and processing, and by frequency times blur size, where
     another mask leaves the same pattern at all depths.
     """
-    at = frequencies()
-    mean = np.maximum(weight @ residual, 1e-3)
-    band_sums, band_counts = (np.bincount(_band_cells(), values) for values in (mean, None))
-    of_rings = np.zeros((2, (RINGS + 1) * SECTORS))
-    of_map = np.zeros((3, MAP_ROWS * MAP_COLUMNS))
+    xp, at = namespace(residual), frequencies()
+    mean = xp.maximum(weight @ residual, 1e-3)
+    bands = constant(_band_cells(), mean)
+    band_sums, band_counts = (
+        xp.bincount(bands, values, (len(_BANDS) + 1) * _DIRECTIONS) for values in (mean, None)
+    )
+    of_rings = zeros((2, (RINGS + 1) * SECTORS), size_px)
+    of_map = zeros((3, MAP_ROWS * MAP_COLUMNS), size_px)
     arrays = at.radius, at.vertical, at.horizontal, _sectors()
-    _tally(residual, size_px, weight, arrays, (of_rings, of_map))
-    enough = of_map[2] > min(_MAP_LEAST, of_map[2].max() - 1)
-    pattern = np.log(of_map[0, enough] / of_map[1, enough])
+    radius, *others = (constant(each, mean) for each in arrays)
+    tally = _tally if xp is np else tally_plain
+    tally(residual, size_px, weight, (radius, *others), (of_rings, of_map))
+    enough = of_map[2] > xp.minimum(of_map[2].max() - 1, _MAP_LEAST)
+    count = enough.sum()
+    pattern = xp.log(xp.where(enough, of_map[0], 1) / xp.where(enough, of_map[1], 1))
     rings = of_rings.reshape(2, -1, SECTORS)[:, :RINGS]
-    rings = np.log((rings[0] + 0.002) / (rings[1] + 0.002))
+    rings = xp.log((rings[0] + 0.002) / (rings[1] + 0.002))
     ring_mean = rings.mean(axis=1)
     return [
-        *np.log(band_sums / band_counts),
+        *xp.log(band_sums / band_counts),
         *ring_mean,
-        rings.std(),
-        np.abs(rings - ring_mean[:, None]).mean(),
-        np.sqrt(np.mean(pattern**2)),
-        *quantiles(pattern, 0.05, 0.95),
-        pattern.mean(),
+        xp.std(rings),
+        xp.abs(rings - ring_mean[:, None]).mean(),
+        xp.sqrt((pattern**2).sum() / count),
+        *quantiles(pattern, 0.05, 0.95, where=enough),
+        pattern.sum() / count,
     ]
 
 

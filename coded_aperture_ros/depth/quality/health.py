@@ -1,50 +1,24 @@
 """Out-of-distribution check: how well a frame fits its bank, and the likeliest cause if not."""
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, lru_cache
-from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
-from coded_aperture_ros.core.arrays import FloatArray, as_floats
+from coded_aperture_ros.core.arrays import FloatArray, as_floats, constant, in_memory, namespace
 from coded_aperture_ros.depth.observation import Observation
-from coded_aperture_ros.depth.quality.evidence import Evidence, HypothesisTest
+from coded_aperture_ros.depth.quality.causes import CAUSE_TEXTS, CAUSES, DEPTH_MAP
+from coded_aperture_ros.depth.quality.depth_map import is_as_smooth_as_depth
+from coded_aperture_ros.depth.quality.evidence import FEWEST_WINDOWS, Evidence, HypothesisTest
 from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px, quantiles
-from coded_aperture_ros.depth.quality.statistics import frame_statistics, is_as_smooth_as_depth
+from coded_aperture_ros.depth.quality.statistics import frame_statistics, share_of
 from coded_aperture_ros.optics import PsfStack
 
-# Windows, and features of the whole frame.
-_Look = tuple[Evidence, list[float]]
 SCHEMA = "coded-aperture check of fit"
 SCHEMA_VERSION = 2
-# Name of each cause, its description and remedy; in the order of the network's outputs.
-CAUSES = {
-    "mask": "another mask, inverted or dirty, or a lens that blurs otherwise: compare both with "
-    "the camera file",
-    "none": "no mask in the lens: put it in",
-    "turned": "the mask is turned or mirrored: put it in as the camera file has it",
-    "compression": "compressed pictures: record them without loss",
-    "motion": "motion blur: expose for less time, or use motion",
-    "clipped": "clipped light: expose for less time",
-    "noise": "noise unlike the camera file's, or with a pattern: measure it with calibrate noise",
-    "range": "nearer or farther than the bank's levels, all in focus, or taken without the mask: "
-    "learn the bank for more depths, focus as the camera file says, or put the mask in",
-    "scale": "pictures that were enlarged, binned or cropped: record them as the sensor reads them "
-    "out",
-    "tone": "values are not linear light: set the gamma",
-    "processed": "pictures that were sharpened, denoised or demosaiced, or a raw mosaic: switch "
-    "that off in the camera, or say bayer",
-}
-# Cause that is not the network's to find: a depth map in place of a frame.
-DEPTH_MAP = "depth_map"
-# Description and remedy of every cause.
-CAUSE_TEXTS = {
-    **CAUSES,
-    DEPTH_MAP: "values as smooth as those of a depth map, which no camera takes: give the coded "
-    "frame",
-}
 # Least health of a frame that fits.
 FIT_THRESHOLD = 0.5
 # Confidence is lowered from the first health on, down to that of a guess at the second, with the
@@ -126,11 +100,12 @@ class Health:
     def limit_confidence(self, confidence: FloatArray) -> FloatArray:
         """Confidence, lowered if the frame fits badly, float32 [rows, columns]."""
         share = (self.value - WITHHOLD_BELOW) / (TRUSTED - WITHHOLD_BELOW)
-        left = np.float32(np.clip(share, 0, 1) ** 2)
+        left = float(np.clip(share, 0, 1) ** 2)
         if left >= 1:
             return confidence
-        lowest = np.minimum(confidence, np.float32(_CHANCE_CONFIDENCE))
-        return np.asarray(left * confidence + (1 - left) * lowest, np.float32)
+        lowest = namespace(confidence).minimum(confidence, _CHANCE_CONFIDENCE)
+        lowered: FloatArray = left * confidence + (1 - left) * lowest
+        return lowered
 
 
 @lru_cache(maxsize=1)
@@ -206,17 +181,6 @@ class FitCheck:
         self._frames = 0
         self._outputs: FloatArray | None = None
         self._health: Health | None = None
-        self._begun: Iterator[_Look] | None = None
-
-    def begin(self, observation: Observation) -> None:
-        """Look at the next frame, if it is to be checked, before anything is known of its depth."""
-        if self._is_due:
-            looks = self._looks(observation)
-            self._begun = chain(list(islice(looks, 1)), looks)
-
-    @property
-    def _is_due(self) -> bool:
-        return not self._remembers or self._frames % _FRAME_INTERVAL == 0
 
     def __call__(
         self,
@@ -235,7 +199,7 @@ class FitCheck:
         level, confidence : ndarray, float32 [rows, columns]
             Estimated fractional level of every pixel, and its confidence.
         """
-        due = self._is_due
+        due = not self._remembers or self._frames % _FRAME_INTERVAL == 0
         self._frames += 1
         if not due:
             return self._health
@@ -250,7 +214,8 @@ class FitCheck:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         health = _health_of(outputs)
         # What was enlarged is as smooth, too.
-        if not health.fits and health.cause != "scale" and is_as_smooth_as_depth(observation.grey):
+        judged = not health.fits and health.cause != "scale"
+        if judged and is_as_smooth_as_depth(in_memory(observation.grey)):
             health = dataclasses.replace(health, cause=DEPTH_MAP)
         self._outputs, self._health = outputs, health
         return self._health
@@ -266,62 +231,74 @@ class FitCheck:
 
         Nothing if the frame has too little texture. Parameters are those of a call.
         """
-        looks, self._begun = self._begun or self._looks(observation), None
-        for windows, rest in looks:
-            map_features = self._map_features(windows, observation, misfit, level, confidence)
-            numbers = [*windows.features, *rest[:-1], *map_features, rest[-1]]
-            yield np.nan_to_num(np.array(numbers, np.float32))
-
-    def _looks(self, observation: Observation) -> Iterator[_Look]:
-        """Windows of a frame, few and then more, and features of the whole frame."""
-        grey, noise = observation.grey, max(observation.noise.typical, _LEAST_NOISE)
+        known, grey = observation.noise, observation.grey
+        noise = max(known.typical, _LEAST_NOISE)
         if noise < _CLEANEST:  # only simulated frames have so little noise
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
-            grey, noise = grey + np.float32(_DITHER) * dither, float(np.hypot(noise, _DITHER))
-        known = observation.noise.sigma if observation.noise.highest is None else 0.0
-        statistics = frame_statistics(grey, noise, known)
-        smaller = max(0.0, float(np.log(_USUAL_PIXELS / grey.size)))
+            grey = grey + constant(np.float32(_DITHER) * dither, grey)
+            noise = float(np.hypot(noise, _DITHER))
+        sigma = known.sigma if known.highest is None else 0.0
+        given = {"grey": grey, "noise": noise, "known": sigma, "unusable": observation.unusable}
+        given |= {"misfit": misfit, "usable": observation.usable}
+        given |= {"level": level, "confidence": confidence}
+        find: Any = self.numbers if isinstance(grey, np.ndarray) else self._on_device
+        for cells in _CELLS:
+            count, *numbers = find(cells, given) or [0]
+            if count >= FEWEST_WINDOWS:
+                yield np.nan_to_num(np.array(numbers, np.float32))
+
+    def numbers(self, cells: int, given: dict[str, Any]) -> list[Any] | None:
+        """Number of windows that count, at most so many along a side, and features.
+
+        None if too few have texture, where that is seen.
+        """
+        grey, noise, unusable = (given[name] for name in ("grey", "noise", "unusable"))
         part = middle_part(grey.shape) if self._middle_only else np.s_[0:, 0:]
         top, left = (side.start for side in part)
-        unusable = None if observation.unusable is None else observation.unusable[part]
-        for cells in _CELLS:
-            windows = self._test.score(grey[part], noise, unusable, cells)
-            if windows is not None:
-                at = windows.rows + top, windows.columns + left
-                windows = dataclasses.replace(windows, rows=at[0], columns=at[1])
-                yield windows, [*statistics, smaller]
+        inner = None if unusable is None else unusable[part]
+        windows = self._test.score(grey[part], noise, inner, cells)
+        if windows is None:
+            return None
+        places = windows.rows + top, windows.columns + left
+        windows = dataclasses.replace(windows, rows=places[0], columns=places[1])
+        if "statistics" not in given:  # of all windows
+            given["statistics"] = frame_statistics(grey, noise, given["known"])
+        smaller = max(0.0, float(np.log(_USUAL_PIXELS / np.prod(grey.shape))))
+        features = *windows.features, *given["statistics"], *self._map_features(windows, given)
+        return [windows.counted.sum(), *features, smaller]
 
-    def _map_features(
-        self,
-        windows: Evidence,
-        observation: Observation,
-        misfit: FloatArray,
-        level: FloatArray,
-        confidence: FloatArray,
-    ) -> list[float]:
+    def _map_features(self, windows: Evidence, given: Mapping[str, Any]) -> list[Any]:
         """Features of misfit, confidence and agreement of the map with single windows."""
-        usable_misfit = misfit[observation.usable] if observation.usable.any() else misfit
-        map_pixels = (
+        xp, usable, level = namespace(given["grey"]), given["usable"], given["level"]
+        rows, columns = (
             centres * length // whole
             for centres, length, whole in zip(
-                (windows.rows, windows.columns), level.shape, observation.grey.shape, strict=True
+                (windows.rows, windows.columns), level.shape, given["grey"].shape, strict=True
             )
         )
         # Blur size by one window alone, and by the map, which its neighbours have influenced.
         sizes_px, window_px = equivalent_sizes_px(self._stack), windows.size_px
         if self._guarded:
-            window_px = np.clip(window_px, np.abs(sizes_px).min(), np.abs(sizes_px).max())
-        map_px = np.interp(level[tuple(map_pixels)], np.arange(len(sizes_px)), sizes_px)
-        apart = np.abs(np.abs(map_px) - window_px)
-        some = np.ascontiguousarray(confidence[::_SPARSE, ::_SPARSE])
+            low_px, high_px = (float(end(np.abs(sizes_px))) for end in (np.min, np.max))
+            window_px = xp.clip(window_px, low_px, high_px)
+        map_px = xp.interp(level[rows, columns], np.arange(len(sizes_px)), sizes_px)
+        apart, counted = xp.abs(xp.abs(map_px) - window_px), windows.counted
+        some = xp.ascontiguousarray(given["confidence"][::_SPARSE, ::_SPARSE])
+        usable = (usable | ~usable.any()).ravel()
         return [
-            *quantiles(usable_misfit.ravel(), 0.1, 0.25, 0.5, 0.75, 0.9),
+            *quantiles(given["misfit"].ravel(), 0.1, 0.25, 0.5, 0.75, 0.9, where=usable),
             some.mean(),
-            (some >= _CONFIDENT).mean(),
-            np.median(apart),
-            windows.weight @ np.minimum(apart, _UNSURE_PX),
-            (apart > _FAR_PX).mean(),
+            share_of(some >= _CONFIDENT),
+            *quantiles(apart, 0.5, where=counted),
+            (windows.weight * xp.minimum(apart, _UNSURE_PX)).sum(),
+            ((apart > _FAR_PX) & counted).sum() / counted.sum(),
         ]
+
+    @cached_property
+    def _on_device(self) -> Callable[[int, dict[str, Any]], Sequence[Any]]:
+        from coded_aperture_ros.depth.quality.on_device import RecordedNumbers
+
+        return RecordedNumbers(self.numbers)
 
     @cached_property
     def _test(self) -> HypothesisTest:

@@ -11,9 +11,8 @@ import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
-from coded_aperture_ros.depth.quality.evidence import chosen_windows
+from coded_aperture_ros.depth.quality.evidence import cut_windows, windows_of_cells
 from coded_aperture_ros.depth.quality.spectra import (
-    WINDOW_PX,
     PsfHypotheses,
     PsfLevels,
     bank_levels,
@@ -96,20 +95,17 @@ class MaskTest:
         unusable : ndarray, bool [height, width], optional
             Pixels that were filled in.
         """
-        tops, lefts = chosen_windows(grey, unusable, _CELLS)
+        tops, lefts, _ = windows_of_cells(grey, unusable, _CELLS)
         if len(tops) < _FEWEST_WINDOWS:
             return None
-        some = [
-            grey[top : top + WINDOW_PX, left : left + WINDOW_PX]
-            for top, left in zip(tops, lefts, strict=True)
-        ]
-        power = power_spectra(np.stack(some)) / np.float32(noise**2)
+        power = power_spectra(cut_windows(grey, tops, lefts)) / np.float32(noise**2)
         scores = negative_log_likelihood(power, self._own)
         least = scores.min(axis=(1, 2))
         contrast, kind = np.unravel_index(
             scores.reshape(len(power), -1).argmin(axis=1), scores.shape[1:]
         )
-        others = negative_log_likelihood(power, self._others.near_contrasts(contrast))
+        near = self._others.near_contrasts(contrast.min(), contrast.max())
+        others = negative_log_likelihood(power, near)
         best = others.min(axis=1).reshape(len(power), len(self.names), -1).min(axis=2)
         gains = np.clip(100 * (least[:, None] - best), -_MOST_GAIN, _MOST_GAIN)
         residual = least - self._own.log_determinants[contrast, kind]

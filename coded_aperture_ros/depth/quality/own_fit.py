@@ -3,7 +3,8 @@
 import numpy as np
 
 from coded_aperture_ros.core.arrays import FloatArray
-from coded_aperture_ros.depth.quality.health import CAUSES, TRUSTED, outputs_of
+from coded_aperture_ros.depth.quality.causes import CAUSES
+from coded_aperture_ros.depth.quality.health import TRUSTED, outputs_of
 from coded_aperture_ros.depth.quality.spectra import NAMES
 
 # Alternatives whose gain is limited to what fitting frames show, and how the logit of health falls

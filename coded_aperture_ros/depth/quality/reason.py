@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from coded_aperture_ros.depth.quality.health import CAUSE_TEXTS
+from coded_aperture_ros.depth.quality.causes import CAUSE_TEXTS
 
 
 def no_depth_reason(causes: Mapping[str, int], lossy: bool = False) -> str:

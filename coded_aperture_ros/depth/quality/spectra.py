@@ -3,13 +3,21 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    IndexArray,
+    constant,
+    namespace,
+)
 from coded_aperture_ros.likelihood.bank.fourier import WindowedFourierBasis
 from coded_aperture_ros.likelihood.bank.prior import power_spectrum
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
@@ -64,9 +72,12 @@ def frequencies() -> Frequencies:
 def power_spectra(windows: FloatArray) -> FloatArray:
     """Power [n, K] of windows [n, N, N], without their means."""
     at = frequencies()
+    xp, used = namespace(windows), constant(np.flatnonzero(at.used), windows)
     centred = windows - windows.mean(axis=(1, 2), keepdims=True)
-    spectra = scipy.fft.rfft2(centred * at.window)[:, at.used]
-    return np.asarray(spectra.real**2 + spectra.imag**2)
+    fft = scipy.fft if xp is np else xp.fft
+    spectra = fft.rfft2(centred * constant(at.window, windows)).reshape(len(windows), -1)[:, used]
+    power: FloatArray = spectra.real**2 + spectra.imag**2
+    return power
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -95,10 +106,23 @@ class PsfHypotheses:
         # Many are multiplied more quickly with frequencies first in memory.
         return cls(np.ascontiguousarray(weights).swapaxes(1, 2), determinants)
 
-    def near_contrasts(self, contrasts: IndexArray) -> "PsfHypotheses":
-        """Hypotheses of the range of some contrasts' indices, and one on either side."""
-        some = slice(max(int(contrasts.min()) - 1, 0), int(contrasts.max()) + 2)
-        return PsfHypotheses(self.weights[some], self.log_determinants[some])
+    def near_contrasts(self, lowest: Any, highest: Any) -> "PsfHypotheses":
+        """Hypotheses of contrasts from one below an index to one above another.
+
+        Where these are on a device, all contrasts; the others are infinitely unlikely.
+        """
+        if isinstance(lowest, np.integer):
+            some = slice(max(int(lowest) - 1, 0), int(highest) + 2)
+            return PsfHypotheses(self.weights[some], self.log_determinants[some])
+        every: Any = self.like(lowest)
+        index = constant(np.arange(len(self.weights))[:, None], lowest)
+        beyond = (index < lowest - 1) | (index > highest + 1)
+        return PsfHypotheses(every.weights, every.log_determinants.masked_fill(beyond, np.inf))
+
+    def like(self, array: Any) -> "PsfHypotheses":
+        """The same, as tensors on a tensor's device; of an array, itself."""
+        weights = constant(self.weights, array)
+        return PsfHypotheses(weights, constant(self.log_determinants, array))
 
 
 def negative_log_likelihood(power: FloatArray, hypotheses: PsfHypotheses) -> FloatArray:
@@ -109,8 +133,8 @@ def negative_log_likelihood(power: FloatArray, hypotheses: PsfHypotheses) -> Flo
     noise.
     """
     explained = power @ hypotheses.weights.swapaxes(1, 2)
-    explained += np.float32(_OWN_NOISE)
-    np.log(explained, out=explained)
+    explained += _OWN_NOISE
+    namespace(power).log(explained, out=explained)
     explained += hypotheses.log_determinants[:, None]
     return explained.swapaxes(0, 1)
 
@@ -148,17 +172,23 @@ def _window_spectrum() -> DoubleArray:
     return np.roll(spectrum, _REACH)[: 2 * _REACH + 1]
 
 
-def quantiles(values: NDArray, *shares: float) -> NDArray:
+def quantiles(values: NDArray, *shares: float, where: BoolArray | None = None) -> NDArray:
     """Quantiles along the first axis [shares, ...], as from ``np.quantile``.
 
-    That takes several times as long for a few dozen numbers, and a frame needs many.
+    That takes several times as long for a few dozen numbers, and a frame needs many. With `where`
+    [n], of these values only.
     """
-    ordered = np.sort(values, axis=0)
-    at = np.array(shares) * (len(values) - 1)
-    below = at.astype(int)
-    above = np.minimum(below + 1, len(values) - 1)
+    xp, last = namespace(values), len(values) - 1
+    if where is not None:
+        values = xp.where(where.reshape(-1, *[1] * (values.ndim - 1)), values, np.inf)
+        last = where.sum() - 1
+    ordered = xp.sort(values, axis=0)
+    at = constant(np.array(shares), values) * last
+    below = xp.asarray(at, dtype=xp.int64)
+    above = xp.minimum(below + 1, last)
     part = (at - below).reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray(ordered[below] + part * (ordered[above] - ordered[below]))
+    found: NDArray = ordered[below] + part * (ordered[above] - ordered[below])
+    return found
 
 
 # Levels of a bank that are tried: so many, as the spectra of more would hardly differ, and all that

@@ -1,8 +1,6 @@
-"""Residuals of spectra by frequency and direction, added up by NumPy where there is no numba."""
+"""Residuals of spectra by frequency and direction, added up without numba, and of tensors."""
 
-import numpy as np
-
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, IndexArray, namespace
 
 # Rings and sectors of the frequencies, and a map of frequencies times blur sizes, in steps a cycle.
 RINGS = 12
@@ -18,14 +16,21 @@ Sums = tuple[DoubleArray, DoubleArray]
 def tally_plain(
     residual: FloatArray, size_px: DoubleArray, weight: DoubleArray, at: At, sums: Sums
 ) -> None:
-    """Form of the tally for NumPy."""
+    """Form of the tally for NumPy, and for tensors."""
     (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
-    weights = np.repeat(weight, len(radius))
+    xp = namespace(residual)
+    weights = xp.repeat(weight, len(radius), axis=0)
     values = weights * residual.ravel(), weights, None
-    ring = np.minimum(np.outer(2 * size_px, radius).astype(int), RINGS)
-    column = np.minimum((np.outer(size_px, horizontal) * MAP_STEPS).astype(int), MAP_COLUMNS - 1)
-    row = (np.outer(size_px, vertical) * MAP_STEPS + MAP_ROWS // 2).astype(int)
-    in_map = column * MAP_ROWS + np.clip(row, 0, MAP_ROWS - 1)
+    ring = xp.minimum(_whole(xp.outer(2 * size_px, radius)), RINGS)
+    column = xp.minimum(_whole(xp.outer(size_px, horizontal) * MAP_STEPS), MAP_COLUMNS - 1)
+    row = _whole(xp.outer(size_px, vertical) * MAP_STEPS + MAP_ROWS // 2)
+    in_map = column * MAP_ROWS + xp.clip(row, 0, MAP_ROWS - 1)
     for totals, cell in ((of_rings, ring * SECTORS + sector), (of_map, in_map)):
         for total, value in zip(totals, values, strict=False):
-            total += np.bincount(cell.ravel(), value, len(total))
+            total += xp.bincount(cell.ravel(), value, len(total))
+
+
+def _whole(values: DoubleArray) -> IndexArray:
+    """Whole numbers, rounded towards zero."""
+    xp = namespace(values)
+    return xp.asarray(values, dtype=xp.int64)

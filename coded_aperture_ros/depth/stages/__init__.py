@@ -17,6 +17,7 @@ from coded_aperture_ros.depth.stages import (
     focal_side,
     focus_pair,
     free_space,
+    from_device,
     likelihood,
     metric,
     motion,
@@ -56,6 +57,7 @@ BACK: tuple[StageModule, ...] = (
     free_space,
     second_surface,
     metric,
+    from_device,
     motion,
 )
 

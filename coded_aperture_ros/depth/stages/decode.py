@@ -3,8 +3,6 @@
 import dataclasses
 from collections.abc import Callable
 
-import numpy as np
-
 from coded_aperture_ros.core.networks import RUNTIMES, check_runtime
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.classical import ClassicalDecoder
@@ -13,7 +11,6 @@ from coded_aperture_ros.depth.decoders.edges import edge_correction
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
 from coded_aperture_ros.depth.decoders.regularize import LEARNED, REGULARIZERS, regularizer
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.quality import FitCheck
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
 SIDE = LayerSpec(
@@ -77,8 +74,9 @@ def make(plan: Plan, config: Config) -> Stage:
         if plan.device is not None and plan.sides is None:
             from coded_aperture_ros.depth.decoders.network.on_device.decoder import DeviceDecoder
 
-            on_device = DeviceDecoder(plan.levels, plan.small.grid, plan.device, own)
-            return Decode(on_device, plan.fit_check)
+            small, stays = plan.small.grid, plan.costs_on_device
+            on_device = DeviceDecoder(plan.levels, small, plan.device, own, stays)
+            return Decode(on_device)
         network = NetworkDecoder(
             plan.levels, plan.small.grid, plan.sides, plan.workers, config.network, own
         )
@@ -98,18 +96,14 @@ class Decode(Stage):
     """Decides level, deviation and confidence of every pixel."""
 
     decoder: Callable[..., Decoded]
-    # Begins on the processor while a device decides.
-    check: FitCheck | None = None
     name = "decode"
 
     def __call__(self, work: Work) -> None:
         """Decide by the cost of all frames that count."""
         work.decoded = decoded = self.decoder(work.seen, work.volume, work.frame_cost, work.size)
-        if self.check is not None:
-            self.check.begin(work.observation)
         work.level = decoded.level
         work.deviation = decoded.deviation
         work.confidence = decoded.confidence
-        work.doubted = np.zeros(decoded.level.shape, np.bool_)
+        work.doubted = decoded.level < 0  # nowhere
         if decoded.side_confidence is not None:
             work.add_layer(SIDE, decoded.side_confidence)

@@ -10,7 +10,7 @@ import dataclasses
 import numpy as np
 from scipy.special import erf
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, constant, namespace
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
@@ -44,19 +44,23 @@ class FieldDoubt(Stage):
         """Widen the deviation; the confidence is that of an error of at most 5 %."""
         defocus = unmeasured_defocus(self.camera, (work.level.shape[0], work.level.shape[1]))
         assert defocus is not None  # else there is no such stage
+        xp = namespace(work.level)
         off_px = defocus * np.float32(self.camera.blur_per_dioptre_px)
-        work.deviation = np.hypot(work.deviation, off_px * np.float32(self.levels.per_px))
+        off_px = constant(off_px, work.level)
+        work.deviation = xp.hypot(work.deviation, off_px * float(self.levels.per_px))
         right = self._right(work.level, off_px)
         work.confidence = work.confidence * right
         work.doubted = work.doubted | (right < _CLAIMED)
 
     def _right(self, level: FloatArray, off_px: FloatArray) -> FloatArray:
         """Probability that the lens alone does not put a depth off by more than 5 %."""
-        tolerance = self.levels.tolerance_px
-        tolerance_px = tolerance.take((level + np.float32(0.5)).astype(np.int32), mode="clip")
+        xp, tolerance = namespace(level), self.levels.tolerance_px
+        index = xp.asarray(xp.clip(level + 0.5, 0, len(tolerance) - 1), dtype=xp.int64)
+        tolerance_px = constant(tolerance, level)[index]
         # In the middle nothing is off.
-        steps = np.minimum(_STEPS * tolerance_px / np.maximum(off_px, 1e-6), 4 * _STEPS - 1)
-        return _WITHIN.take(steps.astype(np.int32))
+        steps = xp.minimum(_STEPS * tolerance_px / xp.maximum(off_px, 1e-6), 4 * _STEPS - 1)
+        right: FloatArray = constant(_WITHIN, level)[xp.asarray(steps, dtype=xp.int64)]
+        return right
 
 
 def field_note(camera: Camera) -> str | None:

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, namespace
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.depth.layer import LayerSpec
@@ -59,10 +59,11 @@ class FreeSpace(Stage):
 
     def __call__(self, work: Work) -> None:
         """Add the bound."""
-        bound = np.full_like(work.level, self.levels.nearest_first[0])
+        xp = namespace(work.level)
+        bound = xp.full_like(work.level, float(self.levels.nearest_first[0]))
         nearest = work.decoded.nearest_around(_SHARE * self.risk**_POWER)
         if nearest is not None:
-            bound = np.where(work.doubted, bound, self.levels.nearer(work.level, nearest))
+            bound = xp.where(work.doubted, bound, self.levels.nearer(work.level, nearest))
         bound_m = self.levels.depth_m(bound)
         if bound_m is not None:
             work.add_layer(FREE_SPACE, self._with_past(work, bound_m))

@@ -13,6 +13,7 @@ from coded_aperture_ros.depth.moving import MovingMemory, Pinhole
 from coded_aperture_ros.depth.moving.outcome import Translation
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
+from coded_aperture_ros.depth.stages.from_device import fetch_maps
 from coded_aperture_ros.optics import Camera
 
 LAYERS: tuple[LayerSpec, ...] = ()
@@ -67,7 +68,10 @@ class MovingCamera(Stage):
 
     def __call__(self, work: Work) -> None:
         """Change level, deviation and confidence to those of all frames so far."""
-        shape, grey = work.level.shape, work.observation.grey  # not on a device
+        fetch_maps(work)
+        if in_memory := getattr(work.decoded, "in_memory", None):
+            work.decoded = in_memory()
+        shape, grey = work.level.shape, work.observation.grey
         size = min(shape[0], _LARGEST[0]), min(shape[1], _LARGEST[1])
         small = self._translation.belief((work.level, work.deviation, work.confidence), size)
         light = cv2.resize(grey, size[::-1], interpolation=cv2.INTER_AREA)

@@ -6,10 +6,16 @@ patches of a wall then agree on a wrong level, and neither they nor their neighb
 
 import dataclasses
 
-import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, in_memory
+from coded_aperture_ros.core.arrays import (
+    BoolArray,
+    DoubleArray,
+    FloatArray,
+    constant,
+    filters,
+    namespace,
+)
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
@@ -21,7 +27,7 @@ from coded_aperture_ros.likelihood.bank.prior import periodic_levels
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = ""
 # Confidence at periodic texture: such depth is right about as often as a guess.
-CHANCE_CONFIDENCE = np.float32(0.2)
+CHANCE_CONFIDENCE = 0.2
 # Least difference of blur sizes of another depth, px; at least the step between levels.
 _APART_PX = 1.5
 # Side of the box around a patch, px, and share of the patches in it that have to look periodic:
@@ -48,21 +54,20 @@ class PeriodicTexture(Stage):
             return
         step = work.frame_cost.periodic_step
         some, grid = np.s_[::step, ::step], work.observation.grid.every(step)
-        cost = work.frame_cost
-        volume, periodic_cost = in_memory(cost.volume[some]), in_memory(cost.periodic)
-        cost = dataclasses.replace(cost, volume=volume, periodic=periodic_cost)
+        xp, cost = namespace(work.level), work.frame_cost
+        cost = dataclasses.replace(cost, volume=cost.volume[some])
         at = MapGrid.for_map(grid, work.observation.grey.shape, work.level.shape)
         periodic = may_be_periodic(
             cost,
-            work.observation.usable[some],
+            work.seen.usable[some],
             at.values_at_patches(work.level),
             self.levels.blur_sizes_px,
             grid,
         )
-        if periodic.any():
+        if xp is not np or periodic.any():  # a device is not waited for
             found = at.nearest_patch_values(periodic)
-            lowered = np.minimum(work.confidence, CHANCE_CONFIDENCE)
-            work.confidence = np.where(found, lowered, work.confidence)
+            lowered = xp.minimum(work.confidence, CHANCE_CONFIDENCE)
+            work.confidence = xp.where(found, lowered, work.confidence)
             work.doubted |= found
 
 
@@ -75,16 +80,19 @@ def may_be_periodic(
     [rows, columns], and the blur sizes of the levels [L], px.
     """
     assert cost.periodic is not None
-    sizes = np.abs(sizes_px).astype(np.float32)
-    found = np.abs(np.interp(level, np.arange(len(sizes)), sizes_px))[..., None].astype(np.float32)
-    apart = np.float32(max(_APART_PX, np.abs(np.diff(sizes_px)).max()))
-    others = sizes[periodic_levels(len(sizes))]
-    far = np.float32(np.inf)
-    here = np.where(np.abs(sizes - found) < apart, cost.volume, far).min(axis=-1)
-    tried = cost.periodic.reshape(*level.shape, -1, len(others)).min(axis=-2)
-    there = np.where(np.abs(others - found) < apart, far, tried).min(axis=-1)
+    xp, cv = namespace(level), filters(level)
+    found = xp.abs(xp.interp(level, np.arange(len(sizes_px)), sizes_px))[..., None]
+    found = xp.asarray(found, dtype=xp.float32)
+    apart = max(_APART_PX, float(np.abs(np.diff(sizes_px)).max()))
+    sizes = constant(np.abs(sizes_px).astype(np.float32), level)
+    others = sizes[constant(periodic_levels(len(sizes_px)), level)]
+    here = xp.amin(xp.where(xp.abs(sizes - found) < apart, cost.volume, np.inf), -1)
+    tried = xp.amin(cost.periodic.reshape(*level.shape, -1, len(others)), -2)
+    there = xp.amin(xp.where(xp.abs(others - found) < apart, np.inf, tried), -1)
     side = (2 * round(_AROUND_PX / grid.stride_px / 2) + 1,) * 2
     say_so, counted = (
-        cv2.blur(each.astype(np.float32), side) for each in ((there < here) & usable, usable)
+        cv.blur(xp.asarray(each, dtype=xp.float32), side)
+        for each in ((there < here) & usable, usable)
     )
-    return np.asarray(say_so > _AGREE * counted)
+    mask: BoolArray = say_so > _AGREE * counted
+    return mask

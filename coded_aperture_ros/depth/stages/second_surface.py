@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, as_floats
+from coded_aperture_ros.core.arrays import FloatArray, namespace
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.decoders.network import NetworkDecoded, SecondSurface
 from coded_aperture_ros.depth.decoders.network.features import (
@@ -51,7 +51,9 @@ def make(plan: Plan, config: Config) -> Stage:
     own = getattr(plan.model, "refinement", None)
     if not plan.decoder.learned or plan.sides is not None or own is not None:
         return FindSecondSurface(plan.levels, None)
-    return FindSecondSurface(plan.levels, SecondSurface(tried_sizes(plan.levels.blur_sizes_px)))
+    device = plan.device if plan.costs_on_device else None
+    network = SecondSurface(tried_sizes(plan.levels.blur_sizes_px), device)
+    return FindSecondSurface(plan.levels, network)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -64,13 +66,13 @@ class FindSecondSurface(Stage):
 
     def __call__(self, work: Work) -> None:
         """Add depth and share."""
-        level = share = np.full_like(work.level, np.nan)
-        decoded = getattr(work.decoded, "whole", work.decoded)
-        if self.network is not None and isinstance(decoded, NetworkDecoded):
-            level, share = self._found(self.network, decoded)
-            level = np.where(work.doubted, np.float32(np.nan), level)
-            share = np.where(work.doubted, np.float32(np.nan), share)
-        depth_m = self.levels.depth_m(np.nan_to_num(level), np.isnan(level))
+        xp = namespace(work.level)
+        level = share = xp.full_like(work.level, np.nan)
+        if self.network is not None and isinstance(work.decoded, NetworkDecoded):
+            level, share = self._found(self.network, work.decoded)
+            level = xp.where(work.doubted, np.nan, level)
+            share = xp.where(work.doubted, np.nan, share)
+        depth_m = self.levels.depth_m(xp.nan_to_num(level), xp.isnan(level))
         if depth_m is not None:
             work.add_layer(SECOND, depth_m)
         work.add_layer(SECOND_SHARE, share)
@@ -79,15 +81,15 @@ class FindSecondSurface(Stage):
         self, network: SecondSurface, decoded: NetworkDecoded
     ) -> tuple[FloatArray, FloatArray]:
         """Level and share of the second surface [rows, columns]; NaN without one."""
+        xp = namespace(decoded.level)
         pair = network(decoded.logits, decoded.features[COST_CHANNELS:])
         pair = pair.map_values(decoded.drawing.upsample_nearest)
         signed_px = self.levels.blur_sizes_px
         sizes_px = np.abs(signed_px)
-        first_px = np.interp(decoded.level, np.arange(len(sizes_px)), sizes_px)
-        size_px, share = pair.other_surface(as_floats(first_px))
-        beyond_px = np.abs(np.clip(size_px, sizes_px.min(), sizes_px.max()) - size_px)
+        first_px = xp.interp(decoded.level, np.arange(len(sizes_px)), sizes_px)
+        size_px, share = pair.other_surface(xp.asarray(first_px, dtype=xp.float32))
+        low_px, high_px = float(sizes_px.min()), float(sizes_px.max())
+        beyond_px = xp.abs(xp.clip(size_px, low_px, high_px) - size_px)
         level = decoded.scale.level(-size_px if signed_px.mean() < 0 else size_px)
         unknown = decoded.unusable | decoded.blank | (beyond_px > BLUR_STEP_PX)
-        level[unknown] = np.nan
-        share[unknown] = np.nan
-        return level, share
+        return xp.where(unknown, np.nan, level), xp.where(unknown, np.nan, share)

@@ -30,7 +30,8 @@ class ToDevice(Stage):
         seen = work.observation
         grey = self.upload(seen.grey)
         light = grey if seen.light is seen.grey else self.upload(seen.light)
+        unusable = None if seen.unusable is None else self.upload(seen.unusable)
         work.seen = dataclasses.replace(
-            seen, light=light, grey=grey, usable=self.upload(seen.usable)
+            seen, light=light, grey=grey, usable=self.upload(seen.usable), unusable=unusable
         )
         work.grey = grey if work.grey is seen.grey else self.upload(work.grey)

@@ -8,8 +8,7 @@ range of the levels depth is infinite, not unknown: see `Levels.metric_maps`.
 
 import dataclasses
 
-import numpy as np
-
+from coded_aperture_ros.core.arrays import namespace
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.estimate import is_unknown
 from coded_aperture_ros.depth.layer import LayerSpec
@@ -63,6 +62,7 @@ class Unknown(Stage):
         unknown = is_unknown(work.confidence, self.threshold)
         if self.fill_nearest:
             nearest = self.levels.nearer(work.level, work.decoded.quantile(_PLAUSIBLE))
-            work.level = np.where(unknown, nearest, work.level)
-            unknown = np.zeros_like(unknown)
+            xp = namespace(work.level)
+            work.level = xp.where(unknown, nearest, work.level)
+            unknown = xp.zeros_like(unknown)
         work.unknown = unknown

@@ -7,7 +7,7 @@ import torch
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.tensors.constants import kept_on_device
-from coded_aperture_ros.core.tensors.interpolation import interpolate
+from coded_aperture_ros.core.tensors.functions import interp
 from coded_aperture_ros.deblur.blend.hypotheses import HYPOTHESIS_PAIRS, InverseHypotheses
 from coded_aperture_ros.deblur.inverse_filters import STEPS_PER_LEVEL
 from coded_aperture_ros.frames import extend_periodically, periodic_shape
@@ -26,7 +26,7 @@ class DeviceHypotheses(InverseHypotheses):
     def table_steps(self, blur: torch.Tensor) -> torch.Tensor:
         """Step of each signed blur size among those of the tables."""
         sizes_px = self._stack.blur_sizes_px[self._order]
-        level = interpolate(blur, sizes_px, np.arange(len(sizes_px)))
+        level = interp(blur, sizes_px, np.arange(len(sizes_px)))
         return torch.round(level * STEPS_PER_LEVEL).long()
 
     def compute(self, channel: torch.Tensor, steps: torch.Tensor, noise: float) -> torch.Tensor:

@@ -13,6 +13,7 @@ from coded_aperture_ros.core.arrays import (
     BoolArray,
     FloatArray,
     IndexArray,
+    Shape,
     constant,
     filters,
     namespace,
@@ -168,3 +169,47 @@ def _unfolded(of_cells: FloatArray) -> FloatArray:
     count, rows, columns = of_cells.shape
     quarters = np.moveaxis(of_cells.reshape(-1, 2, 2, rows, columns), (1, 2), (2, 4))
     return quarters.reshape(count // 4, 2 * rows, 2 * columns)
+
+
+def count_plain(
+    first: IndexArray,
+    shares: FloatArray,
+    colours: FloatArray,
+    reaches: IndexArray,
+    some_rows: tuple[int, int],
+    votes: FloatArray,
+    place: FloatArray,
+    about: FloatArray,
+) -> None:
+    """Form of `bilateral.count_votes` for NumPy."""
+    here = slice(*some_rows)
+    place[here], about[here] = counted(first, shares, votes.size, colours, reaches, here)
+
+
+def describe_plain(
+    padded: FloatArray,
+    tried_px: FloatArray,
+    results: FloatArray,
+    first: IndexArray,
+    shares: FloatArray,
+) -> None:
+    """Form of `probabilities.describe` for NumPy."""
+    found, first[:] = described(padded, tried_px)
+    results[:], shares[:] = found[:4], found[4:].T
+
+
+def draw_plain(
+    values: FloatArray,
+    quarters: IndexArray,
+    one_surface: np.float32,
+    first: Shape,
+    whole: FloatArray,
+) -> None:
+    """Form of `cells.draw` for NumPy."""
+    part = tuple(slice(at, at + length) for at, length in zip(first, whole.shape, strict=True))
+    whole[:] = drawn(values, quarters, float(one_surface))[part]
+
+
+def choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
+    """Form of `Guide.owners` for NumPy."""
+    owner[:] = chosen(colours, of_quarters)

@@ -23,7 +23,14 @@ from coded_aperture_ros.core.arrays import (
 )
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.array_forms import DISTANCE, VOTERS, chosen, counted
+from coded_aperture_ros.depth.decoders.network.array_forms import (
+    DISTANCE,
+    VOTERS,
+    choose_plain,
+    chosen,
+    count_plain,
+    counted,
+)
 from coded_aperture_ros.depth.decoders.network.cells import HALF_CELL_PX, Cells
 
 # Differences from which colours have nothing in common, of square roots of linear light: of
@@ -186,20 +193,6 @@ def _count_loop(
             place[y, x], about[y, x] = moment / summed, summed / total
 
 
-def _count_plain(
-    first: IndexArray,
-    shares: FloatArray,
-    colours: FloatArray,
-    reaches: IndexArray,
-    some_rows: tuple[int, int],
-    votes: FloatArray,
-    place: FloatArray,
-    about: FloatArray,
-) -> None:
-    here = slice(*some_rows)
-    place[here], about[here] = counted(first, shares, votes.size, colours, reaches, here)
-
-
 def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
     _, rows, columns = colours.shape
     # A row at a time, neighbour by neighbour: loops over rows use a processor's vectors.
@@ -235,9 +228,5 @@ def _choose_loop(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray
                 owner[y, 2 * j + right] = (i + down) * (columns + 2) + j + across
 
 
-def _choose_plain(colours: FloatArray, of_quarters: FloatArray, owner: IndexArray) -> None:
-    owner[:] = chosen(colours, of_quarters)
-
-
-_count = Compiled(_count_loop, _count_plain)
-_choose = Compiled(_choose_loop, _choose_plain)
+_count = Compiled(_count_loop, count_plain)
+_choose = Compiled(_choose_loop, choose_plain)

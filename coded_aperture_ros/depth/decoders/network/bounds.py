@@ -1,17 +1,16 @@
 """Bounds of what half-cells may show: quantiles of their blur sizes, and the nearest around."""
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, constant, filters, namespace
 from coded_aperture_ros.depth.decoders.network.probabilities import HalfCells
 from coded_aperture_ros.depth.levels import Levels
 
 # Position error of the map, px of the frame: a pixel may show its neighbour's surface.
 _AROUND_PX = 4
 # Least probability in a division.
-_LEAST_PROBABILITY = np.float32(1e-6)
+_LEAST_PROBABILITY = 1e-6
 
 
 def nearest_px(cells: HalfCells, probability: float, far: FloatArray) -> FloatArray:
@@ -19,22 +18,25 @@ def nearest_px(cells: HalfCells, probability: float, far: FloatArray) -> FloatAr
 
     `far` is the probability of lying beyond the focal plane [rows, columns].
     """
-    share, front = np.float32(probability), np.maximum(1 - far, _LEAST_PROBABILITY)
+    xp = namespace(far)
+    front = xp.maximum(1 - far, _LEAST_PROBABILITY)
     # In front of the focal plane the nearer surface is the more blurred one.
-    before = -quantile_px(cells, 1 - np.minimum(share / front, 1))
-    beyond = quantile_px(cells, (share - front) / np.maximum(far, _LEAST_PROBABILITY))
-    return np.where(front < share, beyond, before)
+    before = -quantile_px(cells, 1 - xp.minimum(probability / front, 1))
+    beyond = quantile_px(cells, (probability - front) / xp.maximum(far, _LEAST_PROBABILITY))
+    nearest: FloatArray = xp.where(front < probability, beyond, before)
+    return nearest
 
 
 def quantile_px(cells: HalfCells, share: float | NDArray[np.floating]) -> FloatArray:
     """Quantile of the unsigned blur size, px [rows, columns]."""
-    probability = np.exp(cells.logits - cells.logits.max(axis=0))
+    xp = namespace(cells.logits)
+    probability = xp.exp(cells.logits - xp.amax(cells.logits, 0))
     left = share * probability.sum(axis=0)
-    rank = np.zeros(left.shape, np.intp)
+    rank = xp.zeros_like(left, dtype=xp.int64)
     for each in probability[:-1]:
         left -= each
         rank += left > 0
-    return cells.tried_px[rank]
+    return constant(cells.tried_px, rank)[rank]
 
 
 def nearest_level_around(
@@ -44,9 +46,10 @@ def nearest_level_around(
 
     `cell_px` and `pixel_px` are the sides of the cells and of the map's pixels, px of the frame.
     """
+    xp, cv = namespace(level), filters(level)
     reach = int(np.ceil((_AROUND_PX + (pixel_px - 1) / 2) / cell_px))
     square = np.ones((2 * reach + 1,) * 2, np.uint8)
     if levels.nearest_first[0] == 0:
-        return np.asarray(np.maximum(cv2.erode(level, square) - np.float32(error), 0))
+        return xp.maximum(cv.erode(level, square) - error, 0)
     last = len(levels) - 1
-    return np.asarray(np.minimum(cv2.dilate(level, square) + np.float32(error), last))
+    return xp.minimum(cv.dilate(level, square) + error, last)

@@ -5,7 +5,7 @@ import dataclasses
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape, filters
+from coded_aperture_ros.core.arrays import FloatArray, IndexArray, Shape, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.decoders.network import array_forms
 from coded_aperture_ros.frames import PatchGrid
@@ -151,10 +151,10 @@ class Drawing:
 
     def upsample_nearest(self, values: FloatArray) -> FloatArray:
         """Map of cells' values [rows, columns], in squares."""
-        whole = np.repeat(np.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1)
-        height, width = self.cells.frame_shape
+        xp, (height, width) = namespace(values), self.cells.frame_shape
+        whole = xp.repeat(xp.repeat(values, CELL_PX, axis=0), CELL_PX, axis=1)
         whole = whole[-self.cells.top :, -self.cells.left :][:height, :width]
-        return self._resized(np.ascontiguousarray(whole))
+        return self._resized(xp.ascontiguousarray(whole))
 
     def _resized(self, whole: FloatArray) -> FloatArray:
         """Map of the frame at the size of the maps."""
@@ -229,17 +229,6 @@ def _draw_loop(
         drawn[y] = pixels.ravel()[first[1] : first[1] + drawn.shape[1]]
 
 
-def _draw_plain(
-    values: FloatArray,
-    quarters: IndexArray,
-    one_surface: np.float32,
-    first: Shape,
-    drawn: FloatArray,
-) -> None:
-    part = tuple(slice(at, at + length) for at, length in zip(first, drawn.shape, strict=True))
-    drawn[:] = array_forms.drawn(values, quarters, float(one_surface))[part]
-
-
 # Writes the map of half-cells' values with a border of one, see `Drawing.render_map`, from a first
 # row and column on.
-draw = Compiled(_draw_loop, _draw_plain)
+draw = Compiled(_draw_loop, array_forms.draw_plain)

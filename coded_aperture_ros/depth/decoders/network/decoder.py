@@ -87,7 +87,9 @@ class SizeScale:
 
     def level(self, size_px: FloatArray) -> FloatArray:
         """Fractional level of signed blur sizes, float32 of their shape."""
-        return np.interp(size_px, self.sizes_px[self.order], self.order).astype(np.float32)
+        xp = namespace(size_px)
+        level = xp.interp(size_px, self.sizes_px[self.order], self.order)
+        return xp.asarray(level, dtype=xp.float32)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -112,12 +114,10 @@ class NetworkDecoded:
 
     def quantile(self, probability: float) -> FloatArray:
         """See `Decoded.quantile`; the nearest level where nothing was seen."""
-        if self.blank:
-            return np.full(self.drawing.size, self._nearest)
         level = self.scale.level(nearest_px(self.half_cells, probability, self.far))
         one_surface = ONE_SURFACE_PX * float(self.scale.levels_per_px)
         # Where nothing was seen, neighbours are no evidence.
-        return np.where(self.blind, self._nearest, self.drawing.render_map(level, one_surface))
+        return self._seen(self.blind, self.drawing.render_map(level, one_surface))
 
     def nearest_around(self, probability: float) -> FloatArray | None:
         """See `Decoded.nearest_around`; the nearest level where nothing was seen."""
@@ -127,12 +127,13 @@ class NetworkDecoded:
             level, self.scale.levels, error, HALF_CELL_PX, self.drawing.pixel_px
         )
         # Linear everywhere: a bound between two cells lies between their bounds.
-        bound = self.drawing.render_map(level)
-        return np.where(self.unusable | self.blank, self._nearest, bound)
+        return self._seen(self.unusable, self.drawing.render_map(level))
 
-    @property
-    def _nearest(self) -> np.float32:
-        return np.float32(self.scale.levels.nearest_first[0])
+    def _seen(self, unseen: BoolArray, level: FloatArray) -> FloatArray:
+        """Levels [map rows, map columns]; the nearest one where nothing was seen."""
+        nearest = float(self.scale.levels.nearest_first[0])
+        xp = namespace(level)
+        return xp.where(unseen | self.blank, nearest, level)
 
 
 class NetworkDecoder:

@@ -15,6 +15,7 @@ from coded_aperture_ros.core.arrays import (
     as_floats,
     constant,
     namespace,
+    zeros,
 )
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.networks import network_of
@@ -47,7 +48,7 @@ gather_squares = Compiled(_put_loop, array_forms.put_in_squares)
 def to_half_cells(of_cells: NDArray[Any]) -> NDArray[Any]:
     """Half-cells [n, 2 rows, 2 columns] from the channels of cells [4 n, rows, columns]."""
     count, rows, columns = of_cells.shape
-    whole = np.empty((count // 4, 2 * rows, 2 * columns), of_cells.dtype)
+    whole = zeros((count // 4, 2 * rows, 2 * columns), of_cells)
     for quarter in range(4):
         whole[:, quarter // 2 :: 2, quarter % 2 :: 2] = of_cells[quarter::4]
     return whole

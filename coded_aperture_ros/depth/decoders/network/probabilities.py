@@ -7,7 +7,7 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray, IndexArray, filters, namespace
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.core.workers import Workers
-from coded_aperture_ros.depth.decoders.network.array_forms import REACH, described
+from coded_aperture_ros.depth.decoders.network.array_forms import REACH, describe_plain
 from coded_aperture_ros.depth.decoders.network.bilateral import Guide, count_votes
 from coded_aperture_ros.depth.decoders.network.network import Logits, log_odds
 
@@ -61,20 +61,9 @@ def _describe_loop(
         first[x] = best[x]
 
 
-def _describe_plain(
-    padded: FloatArray,
-    tried_px: FloatArray,
-    results: FloatArray,
-    first: IndexArray,
-    shares: FloatArray,
-) -> None:
-    found, first[:] = described(padded, tried_px)
-    results[:], shares[:] = found[:4], found[4:].T
-
-
 # Writes size, probability, spread (see `HalfCells`) and mean [4, n], and `Votes`, of probabilities,
 # up to a factor, of the tried blur sizes, with `REACH` zeros before and after [tried + 2 REACH, n].
-describe = Compiled(_describe_loop, _describe_plain)
+describe = Compiled(_describe_loop, describe_plain)
 
 
 def width_px(logits: Logits) -> FloatArray:

@@ -2,14 +2,14 @@
 
 import dataclasses
 from collections.abc import Mapping
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 
 from coded_aperture_ros.core.arrays import FloatArray, Shape, constant
-from coded_aperture_ros.core.tensors.interpolation import interpolate
+from coded_aperture_ros.core.tensors.functions import interp
 from coded_aperture_ros.core.tensors.recorded import Recorded, Tensors
 from coded_aperture_ros.core.tensors.transfer import download
 from coded_aperture_ros.depth.decoders.network.array_forms import REACH, described
@@ -46,84 +46,43 @@ from coded_aperture_ros.depth.upsample import MapGrid
 from coded_aperture_ros.frames import PatchGrid
 from coded_aperture_ros.likelihood import Cost
 
-# What every frame's result has.
-_MAPS = ("level", "deviation", "confidence", "checked")
-
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class DeviceDecoded:
-    """Levels decided on a device; see `NetworkDecoded`.
+class DeviceDecoded(NetworkDecoded):
+    """Levels decided on a device; nothing waits for it.
 
-    Nothing waits for the device until a map is asked for. What is seldom needed stays there, and
-    has to be asked for before the next frame.
+    What is not a map of every frame has to be asked for before the next frame.
     """
 
-    found: Tensors
-    drawing: Drawing
-    scale: SizeScale
-    tried_px: FloatArray
-    side_confidence: FloatArray | None = None
+    found: Tensors  # by name; see `DeviceDecoder`
 
-    @property
-    def level(self) -> FloatArray:
-        """See `Decoded.level`."""
-        return self._maps["level"]
+    def in_memory(self) -> NetworkDecoded:
+        """The same with arrays of NumPy, when the device has finished."""
+        found = _parts(download(self.found), self.scale, self.drawing, self.half_cells.tried_px)
+        return NetworkDecoded(**found)
 
-    @property
-    def deviation(self) -> FloatArray:
-        """See `Decoded.deviation`."""
-        return self._maps["deviation"]
 
-    @property
-    def confidence(self) -> FloatArray:
-        """See `Decoded.confidence`."""
-        return self._maps["confidence"]
-
-    @property
-    def checked(self) -> FloatArray:
-        """See `NetworkDecoded`."""
-        return self._maps["checked"]
-
-    @cached_property
-    def _maps(self) -> dict[str, FloatArray]:
-        return download({name: self.found[name] for name in _MAPS})
-
-    def quantile(self, probability: float) -> FloatArray:
-        """See `Decoded.quantile`."""
-        return self.whole.quantile(probability)
-
-    def nearest_around(self, probability: float) -> FloatArray | None:
-        """See `Decoded.nearest_around`."""
-        return self.whole.nearest_around(probability)
-
-    @cached_property
-    def whole(self) -> NetworkDecoded:
-        """All that the network has found, in the processor's memory."""
-        found = download({name: values for name, values in self.found.items() if name not in _MAPS})
-        half_cells = HalfCells(
-            size_px=found["size_px"],
-            about=found["about"],
-            spread_px=found["spread_px"],
-            width_px=found["width_px"],
-            logits=found["logits"],
-            tried_px=self.tried_px,
-        )
-        return NetworkDecoded(
-            level=self.level,
-            deviation=self.deviation,
-            confidence=self.confidence,
-            side_confidence=None,
-            logits=Logits(found["logits"], found["log_width"], found["cells"]),
-            features=found["features"],
-            half_cells=half_cells,
-            far=np.full(half_cells.size_px.shape, self.scale.is_far, np.float32),
-            scale=self.scale,
-            drawing=dataclasses.replace(self.drawing, quarters=found["quarters"]),
-            blank=bool(found["blank"]),
-            checked=self.checked,
-            unusable=found["unusable"],
-            blind=found["blind"],
-        )
+def _parts(
+    found: Mapping[str, Any], scale: SizeScale, drawing: Drawing, tried_px: FloatArray
+) -> dict[str, Any]:
+    """Fields of `NetworkDecoded` from what was found, tensors or arrays by name."""
+    half_cells = HalfCells(
+        size_px=found["size_px"],
+        about=found["about"],
+        spread_px=found["spread_px"],
+        width_px=found["width_px"],
+        logits=found["logits"],
+        tried_px=tried_px,
+    )
+    names = ("level", "deviation", "confidence", "features", "blank", "checked", "far")
+    return {
+        **{name: found[name] for name in (*names, "unusable", "blind")},
+        "side_confidence": None,
+        "logits": Logits(found["logits"], found["log_width"], found["cells"]),
+        "half_cells": half_cells,
+        "scale": scale,
+        "drawing": dataclasses.replace(drawing, quarters=found["quarters"]),
+    }
 
 
 class DeviceDecoder:
@@ -139,11 +98,19 @@ class DeviceDecoder:
         PyTorch's name of the device.
     own : mapping, optional
         Arrays of the network's weights, if a bank has its own.
+    stays : bool, optional
+        Whether the maps stay on the device.
     """
 
     def __init__(
-        self, levels: Levels, small: PatchGrid, device: str, own: Mapping[str, Any] | None = None
+        self,
+        levels: Levels,
+        small: PatchGrid,
+        device: str,
+        own: Mapping[str, Any] | None = None,
+        stays: bool = True,
     ) -> None:
+        self._stays = stays
         self._small = small
         self._device = device
         self._scale = SizeScale.from_levels(levels)
@@ -158,7 +125,7 @@ class DeviceDecoder:
 
     def __call__(
         self, observation: Observation, volume: FloatArray, frame_cost: Cost, size: Shape
-    ) -> DeviceDecoded:
+    ) -> NetworkDecoded:
         """Decide the level of every pixel; see `NetworkDecoder`."""
         assert frame_cost.small is not None
         inputs = {
@@ -176,7 +143,9 @@ class DeviceDecoder:
         found = self._step(observation, size, "volume" in inputs)(inputs)
         cells = Cells.covering(observation.grey.shape, observation.grid)
         drawing = Drawing(cells, size, np.zeros((0, 0), np.intp))
-        return DeviceDecoded(found, drawing, self._scale, self._tried_px)
+        parts = _parts(found, self._scale, drawing, self._tried_px)
+        decoded = DeviceDecoded(**parts, found=found)
+        return decoded if self._stays else decoded.in_memory()
 
     @property
     def is_recorded(self) -> bool:
@@ -222,9 +191,7 @@ class DeviceDecoder:
         deviation = half_cells.deviation_px() * (per_px * float(self._calibration.deviation))
         drawing = Drawing(cells, at.size, guide.owners())
         flat = volume.amax(-1) <= BLANK_COST
-        unusable, blind = (
-            _nearest(~usable if also is None else ~usable & also, at) for also in (None, flat)
-        )
+        unusable, blind = map(at.nearest_patch_values, (~usable, ~usable & flat))
         blank = flat.all()
         confidence_map: Any = drawing.render_map(confidence, ONE_CONFIDENCE)
         return {
@@ -233,6 +200,7 @@ class DeviceDecoder:
             "confidence": confidence_map.masked_fill(unusable | blank, 0),
             "checked": checked,
             "blank": blank,
+            "far": torch.full_like(half_cells.size_px, self._scale.is_far),
             "unusable": unusable,
             "blind": blind,
             "features": features,
@@ -262,14 +230,7 @@ class DeviceDecoder:
         """Level, its tolerance, and how possible blur sizes are; see `NetworkDecoder`."""
         scale, sizes_px = self._scale, self._scale.sizes_px
         signed_px = size_px if scale.is_far else -size_px
-        level = interpolate(signed_px, sizes_px[scale.order], scale.order)
+        level = interp(signed_px, sizes_px[scale.order], scale.order)
         tolerance_px = constant(scale.tolerance_px, level)[level.round().long()]
         beyond_px = (signed_px - signed_px.clip(float(sizes_px.min()), float(sizes_px.max()))).abs()
         return level, tolerance_px, (beyond_px <= BLUR_STEP_PX).float()
-
-
-def _nearest(patches: torch.Tensor, at: MapGrid) -> torch.Tensor:
-    """Value of the nearest patch at every pixel of a map."""
-    rows, columns = (constant(index, patches) for index in at.patches)
-    found: torch.Tensor = patches.index_select(0, rows).index_select(1, columns)
-    return found
