@@ -4,7 +4,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, namespace
 from coded_aperture_ros.frames import (
     GreyNoise,
     KnownNoise,
@@ -70,13 +70,13 @@ class Observation:
             Lower bound of the standard deviation of `grey`'s noise, linear light. Averaging the
             channels does not lower it: the error of compression is the same in all of them.
         """
-        grey, unusable = grey_image(light, saturation)
+        xp, (grey, unusable) = namespace(light), grey_image(light, saturation)
         brightness = window_brightness(grey, grid)
-        usable = np.full(brightness.shape, True)
+        usable = xp.isfinite(brightness)  # all
         if unusable is not None:
             usable = usable_windows(unusable, grid)
             filler = grey if light.ndim == 2 else grey[..., None]
-            light = np.where(np.isfinite(light), light, filler)
+            light = xp.where(xp.isfinite(light), light, filler)
         channels = 1 if light.ndim == 2 else light.shape[2]
         noise = grey_noise(grey, grid, known, channels, brightness, usable)
         if noise.sigma < least_noise:

@@ -126,10 +126,9 @@ class Work:
     frame: Frame
     size: Shape  # rows and columns of the maps
 
-    # The front: from light to the cost of every level.
+    # The front: from light to the cost of every level. On a device light and maps are tensors.
+    light: FloatArray | None = None  # to device; None: that of the frame
     observation: Observation = dataclasses.field(init=False)  # observe
-    # The same, with tensors if costs are computed on a device.
-    seen: Observation = dataclasses.field(init=False)  # observe, to device
     # Mean of the frames that are alike [height, width], and how many it is of, by square; None:
     # of this one.
     grey: FloatArray = dataclasses.field(init=False)  # observe, static average

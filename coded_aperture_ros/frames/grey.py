@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, filters, namespace
 from coded_aperture_ros.core.errors import InputError
 
 # Lower values are no measurement: black is 0, but for noise.
@@ -29,11 +29,11 @@ def check_frame(frame: NDArray[np.floating]) -> None:
     --------
     >>> check_frame(np.zeros((48, 64), np.float32))
     """
-    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or frame.size == 0:
+    if frame.ndim not in (2, 3) or (frame.ndim == 3 and frame.shape[2] != 3) or 0 in frame.shape:
         raise InputError(
             f"frame: expected [rows, columns] or [rows, columns, 3], got {list(frame.shape)}"
         )
-    if not np.issubdtype(frame.dtype, np.floating):
+    if "float" not in str(frame.dtype):
         raise InputError(f"frame: expected floating values in [0, 1], got {frame.dtype}")
 
 
@@ -45,7 +45,10 @@ def channel_mean(frame: NDArray[np.floating]) -> FloatArray:
     >>> channel_mean(np.float32([[[0.0, 0.25, 0.5]]])).tolist()
     [[0.25]]
     """
-    frame = np.ascontiguousarray(frame, np.float32)
+    xp = namespace(frame)
+    if xp is not np and frame.ndim == 3:
+        return frame.mean(-1)
+    frame = xp.asarray(xp.ascontiguousarray(frame), dtype=xp.float32)
     return frame if frame.ndim == 2 else cv2.transform(frame, np.full((1, 3), 1 / 3, np.float32))
 
 
@@ -80,14 +83,15 @@ def grey_image(frame: FloatArray, saturation: float) -> tuple[FloatArray, BoolAr
     ([[0.25, 0.5, 0.375]], [[False, False, True]])
     """
     check_frame(frame)
-    frame = np.ascontiguousarray(frame, np.float32)
+    xp = namespace(frame)
+    frame = xp.asarray(xp.ascontiguousarray(frame), dtype=xp.float32)
     grey = channel_mean(frame)
     with np.errstate(invalid="ignore"):  # NaN fails both comparisons
-        if frame.max() < saturation and grey.min() > _MIN_LIGHT:
+        if (frame.max() < saturation) & (grey.min() > _MIN_LIGHT):  # waits for a device
             return grey, None
     brightest = grey
     if frame.ndim == 3:
-        brightest = np.maximum(np.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
+        brightest = xp.maximum(xp.maximum(frame[..., 0], frame[..., 1]), frame[..., 2])
     usable = brightest < saturation
     usable &= grey > _MIN_LIGHT
     return fill_unusable(grey, usable), ~usable
@@ -121,16 +125,16 @@ def fill_unusable(image: FloatArray, usable: BoolArray) -> FloatArray:
     >>> fill_unusable(np.float32([[0.25, 9.0]]), np.array([[True, False]])).tolist()
     [[0.25, 0.25]]
     """
-    known = image.copy()
-    known[~usable] = 0
-    weight = usable.astype(np.float32)
-    overall = known.sum() / max(weight.sum(), 1)
+    xp, cv = namespace(image), filters(image)
+    known: FloatArray = xp.where(usable, image, 0)
+    weight = xp.asarray(usable, dtype=xp.float32)
+    overall = known.sum() / xp.maximum(weight.sum(), 1)
     # Borders of zero weight: pixels beyond the frame are unusable too.
     total, count = (
-        cv2.boxFilter(values, -1, _FILL_WINDOW_PX, normalize=False, borderType=cv2.BORDER_CONSTANT)
+        cv.boxFilter(values, -1, _FILL_WINDOW_PX, normalize=False, borderType=cv.BORDER_CONSTANT)
         for values in (known, weight)
     )
-    holes = np.nonzero(~usable)
+    holes = xp.nonzero(~usable)
     total, count = total[holes], count[holes]
-    known[holes] = np.where(count > 0.5, total / np.maximum(count, 1), overall)
+    known[holes] = xp.where(count > 0.5, total / xp.maximum(count, 1), overall)
     return known

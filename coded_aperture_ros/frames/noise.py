@@ -6,10 +6,9 @@ Blur removes almost all texture at the highest frequencies; the rest is noise.
 import dataclasses
 from typing import Protocol
 
-import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, PerPatch, filters, in_memory
 from coded_aperture_ros.frames.patches import PatchGrid, window_means
 
 # High-pass filter of unit energy, for rows and columns both: texture, blurred or not, has almost no
@@ -39,13 +38,14 @@ def high_power(grey: FloatArray, grid: PatchGrid, kernel: FloatArray = ALTERNATI
     Parameters
     ----------
     grey : ndarray, float32 [height, width]
+        Or a tensor; its device is waited for.
     grid : PatchGrid
     kernel : ndarray, float32 [k]
         High-pass filter of unit energy.
     """
-    passed = cv2.sepFilter2D(grey, -1, kernel, kernel)
-    cv2.multiply(passed, passed, passed)
-    return window_means(passed, grid, grid.window_px * 3 // 4)
+    passed = filters(grey).sepFilter2D(grey, -1, kernel, kernel)
+    passed *= passed
+    return in_memory(window_means(passed, grid, grid.window_px * 3 // 4))
 
 
 def estimate_noise(high_power: FloatArray, shot_variance: FloatArray | None = None) -> float:
@@ -176,11 +176,13 @@ def grey_noise(
     """
     shot_variance = None
     if known.noise_gain and brightness is not None:
-        shot_variance = np.float32(known.noise_gain / channels) * np.maximum(brightness, 0)
+        light = np.maximum(in_memory(brightness), 0)
+        shot_variance = np.float32(known.noise_gain / channels) * light
     if known.noise:
         return GreyNoise(known.noise / float(np.sqrt(channels)), shot_variance)
     measured = np.ones((grid.rows, grid.columns), np.bool_)
     if usable is not None:
+        usable = in_memory(usable)
         measured = usable if usable.any() else ~usable
     shot = None if shot_variance is None else shot_variance[measured]
     highest = estimate_noise(high_power(grey, grid)[measured], shot)

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import cv2
 import numpy as np
 
 from coded_aperture_ros.core.arrays import BoolArray, FloatArray, IndexArray, constant, filters
@@ -115,7 +114,7 @@ def usable_windows(unusable: BoolArray, grid: PatchGrid) -> BoolArray:
     """
     # Most weight of the Hann window is within half its side around the centre.
     side = grid.window_px // 2
-    share = cv2.boxFilter(unusable.astype(np.float32), -1, (side, side))
+    share = filters(unusable).blur(unusable * np.float32(1), (side, side))
     return grid.centre_values(share) <= _MAX_UNUSABLE_SHARE
 
 

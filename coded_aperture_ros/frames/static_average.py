@@ -3,7 +3,14 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import (
+    FloatArray,
+    filters,
+    in_memory,
+    namespace,
+    quantiles,
+    zeros,
+)
 from coded_aperture_ros.frames.patches import PatchGrid
 
 # Side of the squares that frames are compared in, px.
@@ -74,31 +81,38 @@ class StaticAverage:
             Overwritten by the next frame.
         counts : ndarray, float32 [squares down, squares across]
         """
-        height, width = grey.shape
+        xp, cv, (height, width) = namespace(grey), filters(grey), grey.shape
         squares = (max(width // _SQUARE_PX, 1), max(height // _SQUARE_PX, 1))
         if self._mean is None:
-            self._mean = grey.copy()
-            self._difference, self._product = np.empty_like(grey), np.empty_like(grey)
-            self._count = np.ones(squares[::-1], np.float32)
-            return self._mean, self._count
-        difference = cv2.subtract(grey, self._mean, self._difference)
+            self._mean = mean = xp.copy(grey)
+            self._difference, self._product = xp.empty_like(grey), xp.empty_like(grey)
+            self._count = zeros(squares[::-1], grey) + 1
+            return mean, self._count
+        difference = cv.subtract(grey, self._mean, self._difference)
         # Means of blocks have less noise, and the same contrast of what moves, which is blurred.
-        blocks = cv2.resize(
-            difference, (_BLOCKS * squares[0], _BLOCKS * squares[1]), interpolation=cv2.INTER_AREA
+        blocks = cv.resize(
+            difference, (_BLOCKS * squares[0], _BLOCKS * squares[1]), interpolation=cv.INTER_AREA
         )
-        changed = cv2.resize(blocks * blocks, squares, interpolation=cv2.INTER_AREA)
-        changed = cv2.GaussianBlur(changed, (0, 0), _SIGMA) / (1 + 1 / self._count)
-        variance = (noise * _BLOCKS / _SQUARE_PX) ** 2
-        # A clipped frame has no noise to compare with.
-        noisy = changed[changed > _CLIPPED * variance]
-        if noisy.size:
-            variance = min(variance, float(np.quantile(noisy, _STATIC_QUANTILE)))
-        variance = max(variance, 1e-12)
-        weight = np.exp(-np.maximum(changed / variance - 1 - _TOLERANCE, 0) / _BANDWIDTH)
-        self._count = np.minimum(self._count * weight + 1, np.float32(self._max_frames))
-        shares = cv2.resize(1 / self._count, (width, height), self._product)
-        cv2.accumulateProduct(difference, shares, self._mean)
+        changed = cv.resize(blocks * blocks, squares, interpolation=cv.INTER_AREA)
+        changed = cv.GaussianBlur(changed, (0, 0), _SIGMA) / (1 + 1 / self._count)
+        variance = self._variance(changed, (noise * _BLOCKS / _SQUARE_PX) ** 2)
+        weight = xp.exp(-xp.maximum(changed / variance - 1 - _TOLERANCE, 0) / _BANDWIDTH)
+        self._count = xp.minimum(self._count * weight + 1, self._max_frames)
+        shares = cv.resize(1 / self._count, (width, height), self._product)
+        cv.accumulateProduct(difference, shares, self._mean)
         return self._mean, self._count
+
+    @staticmethod
+    def _variance(changed: FloatArray, known: float) -> FloatArray:
+        """Variance of static squares: what is known, or less, where enough squares differ by less.
+
+        A clipped frame has no noise to compare with.
+        """
+        xp, flat = namespace(changed), changed.ravel()
+        noisy = flat > _CLIPPED * known
+        (static,) = quantiles(flat, _STATIC_QUANTILE, where=noisy | ~noisy.any())
+        variance = xp.where(noisy.any(), xp.minimum(static, known), known)
+        return xp.asarray(xp.maximum(variance, 1e-12), dtype=xp.float32)
 
 
 def frames_per_patch(frames: FloatArray, grid: PatchGrid) -> FloatArray:
@@ -111,7 +125,7 @@ def frames_per_patch(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     [[4.0, 4.0], [4.0, 4.0]]
     """
     side = max(grid.window_px // 2 // _SQUARE_PX, 1)
-    share = cv2.blur(1 / frames, (side, side))
+    share = cv2.blur(1 / in_memory(frames), (side, side))
     return np.asarray(1 / grid.centre_values(share, _SQUARE_PX), np.float32)
 
 
@@ -137,6 +151,7 @@ def join_averages(
     [[1.0]]
     """
     size = grey.shape[::-1]
-    before, after = (cv2.resize(frames, size) for _, frames in (forward, backward))
+    cv = filters(grey)
+    before, after = (cv.resize(frames, size) for _, frames in (forward, backward))
     total = before * forward[0] + after * backward[0] - grey
     return total / (before + after - 1), forward[1] + backward[1] - 1

@@ -278,9 +278,8 @@ class Camera:
         """
         if self.field_curvature is None:
             return axial_depth_m
-        xp = namespace(axial_depth_m)
-        defocus = self.field_curvature.defocus_map(self.intrinsics, axial_depth_m.shape)
-        defocus = constant(defocus, axial_depth_m)
+        xp, shape = namespace(axial_depth_m), axial_depth_m.shape
+        defocus = constant(self.field_curvature.defocus_map(self.intrinsics, shape), axial_depth_m)
         mask_m = self.lens_mask_distance_mm * 1e-3
         with np.errstate(divide="ignore"):
             inverse = 1 / axial_depth_m

@@ -1,6 +1,7 @@
 """Periodic texture that looks like usual texture at another depth is not trusted."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -92,7 +93,13 @@ def test_single_patches_are_not_enough():
     usable = np.ones((grid.rows, grid.columns), bool)
 
     def doubted(periodic, level):
-        return may_be_periodic(Cost(volume, periodic=periodic), usable, level, sizes_px, grid)
+        return may_be_periodic(
+            Cost(volume, periodic=periodic),
+            usable,
+            level,
+            SimpleNamespace(blur_sizes_px=sizes_px),
+            grid,
+        )
 
     assert doubted(periodic, level).all()
     few = periodic.copy()
@@ -113,7 +120,9 @@ def test_coarse_levels_are_no_other_depth(side):
     cost = Cost(volume, periodic=np.full((*shape, 6), 100, np.float32))
     for level in (1.0, 1.5, 2.0):
         found = np.full(shape, level, np.float32)
-        assert not may_be_periodic(cost, np.ones(shape, bool), found, sizes_px, grid).any()
+        assert not may_be_periodic(
+            cost, np.ones(shape, bool), found, SimpleNamespace(blur_sizes_px=sizes_px), grid
+        ).any()
 
 
 def test_saturated_lamps_do_not_hide_a_wall_of_wood(bank, camera):

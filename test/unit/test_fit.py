@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from coded_aperture_ros.core.arrays import quantiles
 from coded_aperture_ros.depth import (
     CAUSES,
     DepthConfig,
@@ -28,7 +29,6 @@ from coded_aperture_ros.depth.quality.spectra import (
     levels_beyond,
     negative_log_likelihood,
     power_spectra,
-    quantiles,
 )
 from coded_aperture_ros.depth.quality.statistics import frame_statistics
 from coded_aperture_ros.likelihood.bank import LearnConfig, WindowedFourierBasis, learn_bank

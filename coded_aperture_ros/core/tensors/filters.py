@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import torch
 from cv2 import (
+    BORDER_CONSTANT,
     BORDER_REFLECT,
     BORDER_REFLECT_101,
     BORDER_REPLICATE,
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 __all__ = [
+    "BORDER_CONSTANT",
     "BORDER_REFLECT",
     "BORDER_REFLECT_101",
     "BORDER_REPLICATE",
@@ -34,14 +36,17 @@ __all__ = [
     "INTER_NEAREST_EXACT",
     "GaussianBlur",
     "absdiff",
+    "accumulateProduct",
     "bilateralFilter",
     "blur",
+    "boxFilter",
     "copyMakeBorder",
     "dilate",
     "erode",
     "medianBlur",
     "resize",
     "sepFilter2D",
+    "subtract",
 ]
 
 FloatArray = NDArray[np.float32]
@@ -56,6 +61,14 @@ def blur(
     return _filtered(picture, ("blur", size[1], borderType), ("blur", size[0], borderType))
 
 
+def boxFilter(  # noqa: N802  OpenCV's name
+    picture: torch.Tensor, depth: int, size: tuple[int, int], *, normalize: bool, borderType: int
+) -> torch.Tensor:
+    """Sum, or mean, over a box around every pixel; see ``cv2.boxFilter``."""
+    down, across = (("box", side, normalize, borderType) for side in size[::-1])
+    return _filtered(picture, down, across)
+
+
 def GaussianBlur(  # noqa: N802  OpenCV's name
     picture: torch.Tensor, size: tuple[int, int], sigma: float
 ) -> torch.Tensor:
@@ -68,6 +81,18 @@ def sepFilter2D(  # noqa: N802  OpenCV's name
 ) -> torch.Tensor:
     """Picture filtered along both axes, of its own type; see ``cv2.sepFilter2D``."""
     return _filtered(picture, ("kernel", *down.tolist()), ("kernel", *across.tolist()))
+
+
+def subtract(one: torch.Tensor, other: torch.Tensor, dst: torch.Tensor) -> torch.Tensor:
+    """Difference; see ``cv2.subtract``."""
+    return torch.sub(one, other, out=dst)
+
+
+def accumulateProduct(  # noqa: N802  OpenCV's name
+    one: torch.Tensor, other: torch.Tensor, dst: torch.Tensor
+) -> None:
+    """Add the product to the last tensor; see ``cv2.accumulateProduct``."""
+    dst.addcmul_(one, other)
 
 
 def absdiff(one: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
@@ -123,6 +148,7 @@ def bilateralFilter(  # noqa: N802  OpenCV's name
 def resize(
     picture: torch.Tensor,
     size: tuple[int, int] | None,
+    dst: torch.Tensor | None = None,
     fx: float = 0,
     fy: float = 0,
     interpolation: int = INTER_LINEAR,
@@ -130,7 +156,8 @@ def resize(
     """Picture [rows, columns(, channels)] of another size (width, height); see ``cv2.resize``."""
     width, height = size or (0, 0)
     down, across = (("resize", *axis, interpolation) for axis in ((height, fy), (width, fx)))
-    return _filtered(picture, down, across)
+    resized = _filtered(picture, down, across)
+    return resized if dst is None else dst.copy_(resized)
 
 
 def copyMakeBorder(  # noqa: N802  OpenCV's name
@@ -177,6 +204,11 @@ def _blur(unit: FloatArray, side: float, border: float) -> NDArray[np.floating]:
     return cv2.blur(unit, (1, int(side)), borderType=int(border))
 
 
+def _box(unit: FloatArray, side: float, normalize: float, border: float) -> NDArray[np.floating]:
+    along = (1, int(side))
+    return cv2.boxFilter(unit, -1, along, normalize=bool(normalize), borderType=int(border))
+
+
 def _gaussian(unit: FloatArray, sigma: float) -> NDArray[np.floating]:
     """Unit vectors filtered along their columns, by what a broad picture becomes."""
     flat = np.repeat(unit.T[:, :, None], 3, axis=2)  # constant along the other axis
@@ -197,6 +229,7 @@ def _resize(
 
 _KINDS: dict[str, Callable[..., NDArray[np.floating]]] = {
     "blur": _blur,
+    "box": _box,
     "gaussian": _gaussian,
     "kernel": _kernel,
     "resize": _resize,

@@ -1,7 +1,7 @@
 """NumPy's functions for tensors: PyTorch's, and where these differ, some of NumPy's meaning.
 
 Arithmetic that is written once takes the functions from here or from NumPy; see `arrays.namespace`.
-Nothing waits for a device.
+Nothing but `nonzero` waits for a device.
 """
 
 from collections.abc import Sequence
@@ -65,6 +65,16 @@ def maximum(
     if isinstance(x2, torch.Tensor):
         return torch.maximum(x1, x2, out=out)
     return torch.clip(x1, min=x2, out=out)
+
+
+def copy(a: torch.Tensor) -> torch.Tensor:
+    """Copy of a tensor."""
+    return a.clone()
+
+
+def nonzero(a: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Indices of what is not 0, for each axis; waits for the device."""
+    return torch.nonzero(a, as_tuple=True)
 
 
 def median(a: torch.Tensor) -> torch.Tensor:

@@ -15,6 +15,7 @@ from coded_aperture_ros.core.arrays import (
     constant,
     filters,
     namespace,
+    quantiles,
     zeros,
 )
 from coded_aperture_ros.core.compiled import Compiled
@@ -30,7 +31,6 @@ from coded_aperture_ros.depth.quality.spectra import (
     levels_beyond,
     negative_log_likelihood,
     power_spectra,
-    quantiles,
 )
 from coded_aperture_ros.depth.quality.tally_plain import (
     MAP_COLUMNS,

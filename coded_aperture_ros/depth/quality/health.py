@@ -8,12 +8,19 @@ from typing import Any
 import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
-from coded_aperture_ros.core.arrays import FloatArray, as_floats, constant, in_memory, namespace
+from coded_aperture_ros.core.arrays import (
+    FloatArray,
+    as_floats,
+    constant,
+    in_memory,
+    namespace,
+    quantiles,
+)
 from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.causes import CAUSE_TEXTS, CAUSES, DEPTH_MAP
 from coded_aperture_ros.depth.quality.depth_map import is_as_smooth_as_depth
 from coded_aperture_ros.depth.quality.evidence import FEWEST_WINDOWS, Evidence, HypothesisTest
-from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px, quantiles
+from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, share_of
 from coded_aperture_ros.optics import PsfStack
 

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import (
     BoolArray,
@@ -170,25 +169,6 @@ def _window_spectrum() -> DoubleArray:
     window = WindowedFourierBasis(WINDOW_PX).window.astype(np.float64)
     spectrum = np.abs(scipy.fft.fft(window, _PERIOD)) ** 2 / _PERIOD
     return np.roll(spectrum, _REACH)[: 2 * _REACH + 1]
-
-
-def quantiles(values: NDArray, *shares: float, where: BoolArray | None = None) -> NDArray:
-    """Quantiles along the first axis [shares, ...], as from ``np.quantile``.
-
-    That takes several times as long for a few dozen numbers, and a frame needs many. With `where`
-    [n], of these values only.
-    """
-    xp, last = namespace(values), len(values) - 1
-    if where is not None:
-        values = xp.where(where.reshape(-1, *[1] * (values.ndim - 1)), values, np.inf)
-        last = where.sum() - 1
-    ordered = xp.sort(values, axis=0)
-    at = constant(np.array(shares), values) * last
-    below = xp.asarray(at, dtype=xp.int64)
-    above = xp.minimum(below + 1, last)
-    part = (at - below).reshape(-1, *[1] * (values.ndim - 1))
-    found: NDArray = ordered[below] + part * (ordered[above] - ordered[below])
-    return found
 
 
 # Levels of a bank that are tried: so many, as the spectra of more would hardly differ, and all that

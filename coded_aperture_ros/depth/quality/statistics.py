@@ -1,7 +1,6 @@
 """Features of a frame that do not depend on the mask: noise, codec, values, lines, mosaic."""
 
-from coded_aperture_ros.core.arrays import BoolArray, FloatArray, filters, namespace
-from coded_aperture_ros.depth.quality.spectra import quantiles
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, filters, namespace, quantiles
 from coded_aperture_ros.frames.noise import ALTERNATING, HALF_AS_FAST
 
 # Usual noise of cameras, and the least that logarithms are taken of, linear light.

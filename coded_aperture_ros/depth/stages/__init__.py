@@ -36,9 +36,9 @@ from coded_aperture_ros.depth.stages import (
 
 # From light to the cost of every level.
 FRONT: tuple[StageModule, ...] = (
+    to_device,
     observe,
     static_average,
-    to_device,
     likelihood,
     focal_side,
     small_patches,

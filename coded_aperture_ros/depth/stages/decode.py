@@ -100,7 +100,8 @@ class Decode(Stage):
 
     def __call__(self, work: Work) -> None:
         """Decide by the cost of all frames that count."""
-        work.decoded = decoded = self.decoder(work.seen, work.volume, work.frame_cost, work.size)
+        seen, cost = work.observation, work.frame_cost
+        work.decoded = decoded = self.decoder(seen, work.volume, cost, work.size)
         work.level = decoded.level
         work.deviation = decoded.deviation
         work.confidence = decoded.confidence

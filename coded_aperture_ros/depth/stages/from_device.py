@@ -32,8 +32,6 @@ class FromDevice(Stage):
 
 def fetch_maps(work: Work) -> None:
     """Replace the maps and layers that a frame has so far by arrays in the processor's memory."""
-    from coded_aperture_ros.core.tensors.transfer import download
-
     maps = {name: getattr(work, name, None) for name in _MAPS}
     values = {f"layer {name}": layer.values for name, layer in work.layers.items()}
     tensors = {
@@ -41,6 +39,10 @@ def fetch_maps(work: Work) -> None:
         for name, each in (maps | values).items()
         if each is not None and not isinstance(each, np.ndarray)
     }
+    if not tensors:
+        return
+    from coded_aperture_ros.core.tensors.transfer import download
+
     for name, array in download(tensors).items():
         if name in maps:
             setattr(work, name, array)

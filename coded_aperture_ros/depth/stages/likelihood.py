@@ -52,7 +52,7 @@ class CostOfLevels(Stage):
 
     def __call__(self, work: Work) -> None:
         """Compute the cost; its parts are timed by themselves."""
-        usable, motion = work.seen.usable, work.frame.motion
+        usable, motion = work.observation.usable, work.frame.motion
         cost = self.likelihood.cost(work.measured, work.mean_noise, usable, motion)
         work.frame_cost = cost
         for part, seconds in cost.seconds.items():

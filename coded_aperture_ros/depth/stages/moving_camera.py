@@ -4,7 +4,7 @@ import dataclasses
 
 import cv2
 
-from coded_aperture_ros.core.arrays import Shape
+from coded_aperture_ros.core.arrays import Shape, in_memory
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
 from coded_aperture_ros.depth.layer import LayerSpec
@@ -69,9 +69,9 @@ class MovingCamera(Stage):
     def __call__(self, work: Work) -> None:
         """Change level, deviation and confidence to those of all frames so far."""
         fetch_maps(work)
-        if in_memory := getattr(work.decoded, "in_memory", None):
-            work.decoded = in_memory()
-        shape, grey = work.level.shape, work.observation.grey
+        if fetch := getattr(work.decoded, "in_memory", None):
+            work.decoded = fetch()
+        shape, grey = work.level.shape, in_memory(work.observation.grey)
         size = min(shape[0], _LARGEST[0]), min(shape[1], _LARGEST[1])
         small = self._translation.belief((work.level, work.deviation, work.confidence), size)
         light = cv2.resize(grey, size[::-1], interpolation=cv2.INTER_AREA)

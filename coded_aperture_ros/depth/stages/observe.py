@@ -61,11 +61,11 @@ class Observe(Stage):
     def __call__(self, work: Work) -> None:
         """Set observation and grey image."""
         plan, frame = self.plan, work.frame
+        light = frame.light if work.light is None else work.light
         least_noise = max(self.least_noise, frame.compression_noise)
         work.observation = Observation.from_light(
-            frame.light, self.saturation, plan.grid, plan.known_noise, least_noise
+            light, self.saturation, plan.grid, plan.known_noise, least_noise
         )
-        work.seen = work.observation
         work.grey = work.observation.grey
         if isinstance(plan.likelihood, ChannelLikelihood) and frame.channels > 1:
             work.channels = work.observation.light

@@ -8,14 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import (
-    BoolArray,
-    DoubleArray,
-    FloatArray,
-    constant,
-    filters,
-    namespace,
-)
+from coded_aperture_ros.core.arrays import BoolArray, FloatArray, constant, filters, namespace
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
@@ -58,11 +51,7 @@ class PeriodicTexture(Stage):
         cost = dataclasses.replace(cost, volume=cost.volume[some])
         at = MapGrid.for_map(grid, work.observation.grey.shape, work.level.shape)
         periodic = may_be_periodic(
-            cost,
-            work.seen.usable[some],
-            at.values_at_patches(work.level),
-            self.levels.blur_sizes_px,
-            grid,
+            cost, work.observation.usable[some], at.values_at_patches(work.level), self.levels, grid
         )
         if xp is not np or periodic.any():  # a device is not waited for
             found = at.nearest_patch_values(periodic)
@@ -72,15 +61,15 @@ class PeriodicTexture(Stage):
 
 
 def may_be_periodic(
-    cost: Cost, usable: BoolArray, level: FloatArray, sizes_px: DoubleArray, grid: PatchGrid
+    cost: Cost, usable: BoolArray, level: FloatArray, levels: Levels, grid: PatchGrid
 ) -> BoolArray:
     """Patches that periodic texture at another depth explains as well [rows, columns].
 
     Takes the `cost` of a frame, which patches are `usable`, the estimated fractional level of each
-    [rows, columns], and the blur sizes of the levels [L], px.
+    [rows, columns], and what the levels are.
     """
     assert cost.periodic is not None
-    xp, cv = namespace(level), filters(level)
+    xp, cv, sizes_px = namespace(level), filters(level), levels.blur_sizes_px
     found = xp.abs(xp.interp(level, np.arange(len(sizes_px)), sizes_px))[..., None]
     found = xp.asarray(found, dtype=xp.float32)
     apart = max(_APART_PX, float(np.abs(np.diff(sizes_px)).max()))

@@ -44,7 +44,7 @@ class QualityOfFit(Stage):
         if self.check is not None and misfit is not None:
             # What it has learned with, where that is not what is published.
             sure = getattr(work.decoded, "checked", work.confidence)
-            own = self.check(work.seen, misfit, work.level, sure)
+            own = self.check(work.observation, misfit, work.level, sure)
             if own is not None and (health is None or own.value <= health.value):
                 health = own
         work.health = health

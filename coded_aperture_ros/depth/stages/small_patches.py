@@ -26,7 +26,7 @@ class SmallPatches(Stage):
 
     def __call__(self, work: Work) -> None:
         """Add the cost of the small patches to that of the frame."""
-        small = small_cost(self.likelihood, work.seen, work.measured, work.mean_noise)
+        small = small_cost(self.likelihood, work.observation, work.measured, work.mean_noise)
         work.frame_cost = dataclasses.replace(work.frame_cost, small=small)
 
     def close(self) -> None:

@@ -1,6 +1,6 @@
 """Noise reduction where nothing moves: mean of the equal frames of a video."""
 
-from coded_aperture_ros.core.arrays import FloatArray
+from coded_aperture_ros.core.arrays import FloatArray, namespace
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
@@ -40,7 +40,7 @@ class StaticAveraging(Stage):
         for work in block.works[len(block.works) - block.new :]:
             observation = work.observation
             mean, count = self._before.add(observation.grey, observation.noise.least)
-            self._waiting.append((mean.copy(), count))
+            self._waiting.append((namespace(mean).copy(mean), count))
         after = StaticAverage(self._most_frames)
         for work, before in zip(reversed(block.works), reversed(self._waiting), strict=True):
             observation = work.observation

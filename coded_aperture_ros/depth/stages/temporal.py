@@ -90,7 +90,7 @@ class Temporal(Stage):
 def _add(costs: "TemporalFilter", work: Work) -> FloatArray:
     observation = work.observation
     return costs.add(
-        work.frame_cost.volume, work.seen.grey, observation.grid, observation.noise.least
+        work.frame_cost.volume, work.observation.grey, observation.grid, observation.noise.least
     )
 
 

@@ -2,9 +2,9 @@
 
 import dataclasses
 
-from coded_aperture_ros.core.arrays import Uploads
+from coded_aperture_ros.core.arrays import Uploads, as_floats
 from coded_aperture_ros.depth.layer import LayerSpec
-from coded_aperture_ros.depth.stage import Plan, Stage, Work
+from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 
 LAYERS: tuple[LayerSpec, ...] = ()
 WHEN = "costs_on_device"
@@ -20,18 +20,16 @@ def make(plan: Plan, config: object) -> Stage:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ToDevice(Stage):
-    """Copies to the device what costs and levels are computed from."""
+    """Copies the light of frames to the device, where all else is computed from it."""
 
     upload: Uploads
     name = "to device"
 
     def __call__(self, work: Work) -> None:
-        """Replace the grey image, and what the next stages see, by tensors."""
-        seen = work.observation
-        grey = self.upload(seen.grey)
-        light = grey if seen.light is seen.grey else self.upload(seen.light)
-        unusable = None if seen.unusable is None else self.upload(seen.unusable)
-        work.seen = dataclasses.replace(
-            seen, light=light, grey=grey, usable=self.upload(seen.usable), unusable=unusable
-        )
-        work.grey = grey if work.grey is seen.grey else self.upload(work.grey)
+        """Set the light to a tensor."""
+        work.light = self.upload(as_floats(work.frame.light))
+
+    def both_ways(self, block: Block) -> None:
+        """Copy the frames that no earlier block had."""
+        for work in block.works[len(block.works) - block.new :]:
+            self(work)
