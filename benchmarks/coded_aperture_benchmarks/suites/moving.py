@@ -15,12 +15,14 @@ from coded_aperture_benchmarks import options
 from coded_aperture_benchmarks.datasets.room import Room, box_boards, random_room, walk
 from coded_aperture_benchmarks.datasets.walks import WALKING_RANGE_M, walking_camera
 from coded_aperture_benchmarks.methods.depth import CameraBank
+from coded_aperture_benchmarks.metrics.flicker import Deblurring, Flicker, Seen
 from coded_aperture_benchmarks.pictures import as_rgb, of_width, side_by_side
 from coded_aperture_benchmarks.rows import grouped, mean_of
 from coded_aperture_benchmarks.run import Row, Suite
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.text_table import columns
 from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
+from coded_aperture_ros.depth.moving import Pinhole
 from coded_aperture_ros.frames import SRGB, Frame
 from coded_aperture_ros.io import depth_picture, write_image
 from coded_aperture_ros.optics import MASK_NAMES, Camera, Mask
@@ -41,6 +43,8 @@ _TRUTH, _WIDTH_PX = "truth", 1600
 _DRAWN = (_TRUTH, SINGLE, FRAMES, POSE)
 _DRIFT, _RIGHT, _EDGE_PX, _AROUND_PX = 0.01, 0.1, 12, 24
 _MOST_ERROR = 10.0
+# All-in-focus frames are made for at least this noise.
+_LEAST_NOISE = 5e-4
 # What moves by itself: a box, so large, before the middle of the way, so far at a step, m.
 _BOX_M, _BOX_AT_M, _BOX_STEP_M = (0.35, 0.9, 0.3), (-0.6, 0.0, 2.0), (0.04, 0.0, 0.0)
 
@@ -90,16 +94,21 @@ def measure(cell: Cell) -> Measured:
     bank = CameraBank.guarded(camera, WALKING_RANGE_M, 30).learn()
     poses = np.stack([view.pose for view in views])
     rows, depths_m = [], {_TRUTH: views[-1].depth_m}
+    deblurring = Deblurring(bank.stack, max(cell.noise, _LEAST_NOISE))
+    pinhole = Pinhole.of_map(camera, views[0].coded.shape)
+    clear = [deblurring.by_truth(camera, view.coded, view.depth_m) for view in views]
+    seen = [Seen(view.pose, view.depth_m, sharp) for view, sharp in zip(views, clear, strict=True)]
     for name in _TITLES:
         config = _config(name, cell.memory)
         estimator = DepthEstimator(bank, config, camera)
         given = _drifting(poses, cell.room) if name == DRIFTING else poses
         takes = config.moving_camera == POSE
-        scores, seconds = [], []
+        scores, seconds, flicker = [], [], Flicker(deblurring, pinhole)
         for index, view in enumerate(views):
             frame = Frame(view.coded, pose=partial(given.__getitem__, index) if takes else None)
             estimate = estimator.estimate(frame)
             seconds.append(estimate.seconds.get("moving camera", 0.0))
+            flicker.add(view.coded, seen[index], estimate)
             if index >= _WARM_UP:
                 scores.append(_score(estimate, view))
         estimator.close()
@@ -107,7 +116,9 @@ def measure(cell: Cell) -> Measured:
         keys = scores[0].keys()
         row = {key: _mean_known(score[key] for score in scores) for key in keys}
         ms = round(1e3 * float(np.median(seconds)), 2)
+        row |= flicker.result(_WARM_UP)
         rows.append({"room": cell.room, "told": name, **row, "stage_ms": ms})
+    deblurring.close()
     return Measured(rows, views[-1].coded, depths_m)
 
 
@@ -223,6 +234,8 @@ def _text(results: Row) -> str:
         "and within 10 %": "published_right",
         "within 5 %": "within_5",
         "confidence": "confidence",
+        "depth flickers": "depth_flicker",
+        "light / noise": "light_flicker",
     }
     if results["mover"]:
         percent |= {"what moves": "moving", "around it": "around_moving"}
