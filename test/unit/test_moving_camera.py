@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, FocusPair
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Step, Trajectory
@@ -15,7 +16,7 @@ from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.clearance import clearance_m
 from coded_aperture_ros.depth.moving.egomotion import Found, Landmarks
 from coded_aperture_ros.depth.moving.fusion import fused
-from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
+from coded_aperture_ros.depth.moving.parallax import Comparison, Seen, with_parallax
 from coded_aperture_ros.depth.moving.uncertainty import motion_covariance
 from coded_aperture_ros.depth.stages.free_space import FreeSpace
 from coded_aperture_ros.frames import Frame, View
@@ -263,7 +264,8 @@ def test_parallax_alone_corrects_an_error():
     now, truth = seen(pose, box=False)
     off = blurred_belief(truth * 1.05, 0, error=0.05)
     roots = [np.sqrt(each) for each in (light, now)]
-    told = by_parallax(roots[1], Seen(roots[0], np.eye(4)), pose, VIEW, off)
+    seen_before = Seen(roots[0], np.eye(4))
+    told = Comparison.of(roots[1], seen_before, pose, VIEW, off, (0.0, 1.0)).told(off)
     sure = told.confidence > 0.5
     assert sure.mean() > 0.5
     assert np.median(np.abs(told.inverse * truth - 1)[sure]) < 0.01
@@ -275,9 +277,25 @@ def test_what_is_too_wide_ends_where_its_light_does():
     now, truth = seen(pose)
     wide = cv2.dilate((1 / truth).astype(np.float32), np.ones((5, 5), np.uint8))
     roots = [np.sqrt(each) for each in (light, now)]
-    ends = settled_at_edges(wide, roots[1], Seen(roots[0], np.eye(4)), pose, VIEW)
+    belief = Belief(wide, np.full(wide.shape, 1e-4, np.float32), np.ones_like(wide))
+    frames = roots[1], Seen(roots[0], np.eye(4))
+    ends = Comparison.of(*frames, pose, VIEW, belief, (0.0, 1.0)).settled(wide)
     off = [np.mean(np.abs(inverse * truth - 1) > 0.1) for inverse in (wide, ends)]
     assert off[1] < 0.7 * off[0]
+
+
+def test_rows_may_be_shared_among_threads():
+    light, _ = seen(WAY[0])
+    pose = moved(x=0.15, y=0.05, yaw=0.02)
+    now, truth = seen(pose)
+    frames = np.sqrt(now), Seen(np.sqrt(light), np.eye(4))
+    belief = blurred_belief(truth, 3)
+    shared, alone = (
+        with_parallax(belief, frames, pose, VIEW, (1e-3, 1.0), Workers(threads))
+        for threads in (2, 1)
+    )
+    for first, second in zip(shared.maps, alone.maps, strict=True):
+        np.testing.assert_allclose(first, second, rtol=1e-3, atol=1e-6)
 
 
 def constant(inverse, variance, confidence):
@@ -510,5 +528,8 @@ def test_what_is_carried_by_an_uncertain_motion_counts_less():
     earlier = Seen(light, WAY[0])
     later, _ = seen(WAY[3], box=False)
     doubted = earlier.carried(np.eye(4), np.diag([0.02**2] * 3 + [0] * 3))
-    spreads = [by_parallax(later, each, WAY[3], VIEW, sure).variance for each in (earlier, doubted)]
+    spreads = [
+        Comparison.of(later, each, WAY[3], VIEW, sure, (0.0, 1.0)).told(sure).variance
+        for each in (earlier, doubted)
+    ]
     assert np.median(spreads[1]) > 1.5 * np.median(spreads[0])

@@ -52,7 +52,7 @@ def _loop(pair: Pair, way: Way, surfaces: Surfaces, noise: np.float32, found: Fl
     (now, earlier), (turn, shift), (inverse, nearest, farthest) = pair, way, surfaces
     rows, columns = inverse.shape
     lights, below = earlier.ravel(), np.uint32(columns)
-    last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
+    last_column, last_row = np.float32(columns - 1), np.float32(earlier.shape[0] - 1)
     for row in range(rows):
         for column in range(columns):
             found[row, column] = inverse[row, column]

@@ -119,6 +119,11 @@ class Landmarks:
         variance = belief.variance[rows, columns] + np.square(_DEPTH_SHARE * inverse)
         return cls(image, pixels[known], inverse[known], variance[known])
 
+    def some(self, which: slice | BoolArray) -> "Landmarks":
+        """Some of the points."""
+        of_points = self.pixels[which], self.inverse[which], self.variance[which]
+        return Landmarks(self.image, *of_points)
+
     def moved(self, view: Pinhole, matrix: DoubleArray) -> DoubleArray:
         """Pixels [n, 2] where the points are after a motion [4, 4]."""
         points = np.column_stack([view.rays(self.pixels), np.ones(len(self.pixels))])
@@ -186,13 +191,7 @@ class Found:
         pixels, found = landmarks.followed(image, landmarks.moved(view, guess))
         if found.sum() < _FEWEST:
             return None
-        seen = dataclasses.replace(
-            landmarks,
-            pixels=landmarks.pixels[found],
-            inverse=landmarks.inverse[found],
-            variance=landmarks.variance[found],
-        )
-        return cls(seen, pixels[found], float(found.mean()))
+        return cls(landmarks.some(found), pixels[found], float(found.mean()))
 
     def motion(
         self, view: Pinhole, guess: DoubleArray, expected: Expected | None = None

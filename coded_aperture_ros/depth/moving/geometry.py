@@ -107,8 +107,14 @@ class Transfer:
     def parallax(self, inverse: FloatArray) -> FloatArray:
         """Pixels that a point moves where its inverse depth grows by 1/m [rows, columns]."""
         squared = 1 / np.square(self.depth_ratio(inverse))
-        moved = [
-            (self._shift[axis] * self._ray[2] - self._shift[2] * self._ray[axis]) * squared
-            for axis in (0, 1)
+        return np.asarray(np.hypot(*self._along()) * squared, np.float32)
+
+    def directions(self) -> FloatArray:
+        """Right and down, the way that a point goes as its depth shrinks [2, rows, columns]."""
+        along = np.stack(self._along())
+        return np.asarray(along / np.maximum(np.hypot(*along), np.float32(1e-9)), np.float32)
+
+    def _along(self) -> list[FloatArray]:
+        return [
+            self._shift[axis] * self._ray[2] - self._shift[2] * self._ray[axis] for axis in (0, 1)
         ]
-        return np.asarray(np.hypot(*moved), np.float32)

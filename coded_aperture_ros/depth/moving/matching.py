@@ -30,6 +30,7 @@ from coded_aperture_ros.depth.moving.matching_plain import (
 )
 
 _ZERO, _ONE, _TWO = np.float32(0), np.float32(1), np.float32(2)
+_TINY = np.float32(1e-9)
 _FARTHEST, _LEAST_FROM = np.float32(FARTHEST), np.float32(LEAST_STEP_FROM)
 _STEP_PX, _LEAST_PX_PER = np.float32(STEP_PX), np.float32(LEAST_PX_PER)
 _INDEPENDENT, _NOISY_SLOPE = np.float32(INDEPENDENT), np.float32(0.5 / STEP_PX**2)
@@ -47,36 +48,36 @@ def _compare_loop(
     rows, columns = inverse.shape
     # Unsigned numbers of pixels: those that may be negative are looked up more slowly.
     lights, below = earlier.ravel(), np.uint32(columns)
-    last_column, last_row = np.float32(columns - 1), np.float32(rows - 1)
+    last_column, last_row = np.float32(columns - 1), np.float32(earlier.shape[0] - 1)
     for row in range(rows):
         of_row = turn[:, 1] * np.float32(row) + turn[:, 2]
+        upper_row, lower_row = max(row - 1, 0), min(row + 1, rows - 1)
         for column in range(columns):
-            across = np.float32(column)
+            across, middle = np.float32(column), inverse[row, column]
             x, y = turn[0, 0] * across + of_row[0], turn[1, 0] * across + of_row[1]
-            z, middle = turn[2, 0] * across + of_row[2], inverse[row, column]
+            z = turn[2, 0] * across + of_row[2]
             near = _ONE / max(z + shift[2] * middle, LEAST_DEPTH)
             along = shift[0] * z - shift[2] * x, shift[1] * z - shift[2] * y
-            px_per = math.sqrt(along[0] * along[0] + along[1] * along[1]) * near * near
-            px_per = max(px_per, _LEAST_PX_PER)
+            length = math.sqrt(along[0] * along[0] + along[1] * along[1]) + _TINY
+            px_per = max(length * near * near, _LEAST_PX_PER)
             step = min(_STEP_PX / px_per, _FARTHEST * max(middle, _LEAST_FROM))
-            inside, before, here, after = True, _ZERO, _ZERO, _ZERO
-            at = middle - step
-            for _ in range(3):
-                near = _ONE / max(z + shift[2] * at, LEAST_DEPTH)
-                u, v = (x + shift[0] * at) * near, (y + shift[1] * at) * near
-                if not (u >= 0 and v >= 0 and u < last_column and v < last_row):
-                    inside = False
-                    break
-                u_px, v_px = np.int32(u), np.int32(v)
-                u, v = u - np.float32(u_px), v - np.float32(v_px)
-                first = np.uint32(v_px * np.int32(columns) + u_px)
-                second, third = first + np.uint32(1), first + below
-                upper = lights[first] + (lights[second] - lights[first]) * u
-                lower = lights[third + np.uint32(1)] - lights[third]
-                lower = lights[third] + lower * u
-                before, here, after = here, after, upper + (lower - upper) * v
-                at += step
-            slope, difference = (after - before) / (_TWO * step * px_per), here - now[row, column]
+            left_column = max(column - 1, 0)
+            right_column = min(column + 1, columns - 1)
+            slope = along[0] * (now[row, right_column] - now[row, left_column])
+            slope += along[1] * (now[lower_row, column] - now[upper_row, column])
+            slope /= _TWO * length
+            u, v = (x + shift[0] * middle) * near, (y + shift[1] * middle) * near
+            inside = u >= 0 and v >= 0 and u < last_column and v < last_row
+            if not inside:  # any pixel that there is
+                u = v = _ZERO
+            u_px, v_px = np.int32(u), np.int32(v)
+            u, v = u - np.float32(u_px), v - np.float32(v_px)
+            first = np.uint32(v_px * np.int32(columns) + u_px)
+            second, third = first + np.uint32(1), first + below
+            upper = lights[first] + (lights[second] - lights[first]) * u
+            lower = lights[third + np.uint32(1)] - lights[third]
+            lower = lights[third] + lower * u
+            difference = upper + (lower - upper) * v - now[row, column]
             if not inside:
                 slope = difference = _ZERO
             px_pers[row, column], steps[row, column] = px_per, step

@@ -44,10 +44,12 @@ def compare_plain(
     px_per[:] = np.maximum(transfer.parallax(inverse), np.float32(LEAST_PX_PER))
     step[:] = np.float32(FARTHEST) * np.maximum(inverse, np.float32(LEAST_STEP_FROM))
     np.minimum(step, np.float32(STEP_PX) / px_per, out=step)
-    shown = [_shown(earlier, transfer, inverse + sign * step) for sign in (-1, 0, 1)]
-    (before, first), (here, second), (after, third) = shown
-    inside = first & second & third
-    slope = np.where(inside, (after - before) / (2 * step * px_per), np.float32(0))
+    padded = np.pad(now, 1, "edge")
+    across = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
+    down = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
+    here, inside = _shown(earlier, transfer, inverse)
+    along = transfer.directions()
+    slope = np.where(inside, along[0] * across + along[1] * down, np.float32(0))
     difference = np.where(inside, here - now, np.float32(0))
     values = slope * slope, slope * difference, difference * difference, ~inside
     for target, value in zip(products, values, strict=True):

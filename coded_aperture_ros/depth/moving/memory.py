@@ -7,23 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.moving.belief import Belief
 from coded_aperture_ros.depth.moving.carrying import carried
 from coded_aperture_ros.depth.moving.egomotion import Expected, Found, Landmarks, Motion
 from coded_aperture_ros.depth.moving.fusion import fused
 from coded_aperture_ros.depth.moving.geometry import Pinhole, Transfer
-from coded_aperture_ros.depth.moving.parallax import Seen, by_parallax, settled_at_edges
+from coded_aperture_ros.depth.moving.parallax import Seen, with_parallax
 from coded_aperture_ros.depth.moving.uncertainty import deviation_px, motion_covariance
 from coded_aperture_ros.frames.pose import Pose
 
 # How much two frames of a moving camera tell that agree: their errors have much in common. At rest
 # they are the same again; they tell something new if the picture has moved by more than this, px.
 _AGREEMENT, _NEW_PX = 0.3, 1.0
-_PARALLAX_AGREEMENT = 0.8
-# Matches of single pixels are off by noise: the median of squares of this side, which keeps edges,
-# took a fifteenth of the mean error of walks.
-_GRAIN_PX = 5
-_EDGE_GRAIN_PX = 3
 # Past frames that are kept, and the parallax that is best to compare with, px of the map.
 _KEPT, _BEST_PARALLAX_PX, _LEAST_PARALLAX_PX = 10, 10.0, 1.0
 # What is seen of a step forward, beside one to the side.
@@ -33,6 +29,8 @@ _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 # A pose is wrong if the squared errors of landmarks are so many times what the best motion near it
 # leaves, and by so much more.
 _WRONG, _WRONG_BY = 2.0, 2.0
+# So many landmarks check a pose as well as twice as many do.
+_ENOUGH = 50
 # Standard deviation of a turn that is told, as by a gyroscope: rad, and as a share of it.
 _TURN, _TURN_SHARE = 0.001, 0.01
 # No stated covariance of a step is taken to be less: standard deviations, m and rad.
@@ -123,6 +121,8 @@ class MovingMemory:
         Of the maps.
     frames : float
         Frames after which most of what was seen is forgotten, > 0.
+    workers : Workers, optional
+        Threads that share the work; by default the calling one.
 
     Examples
     --------
@@ -137,8 +137,9 @@ class MovingMemory:
     (False, 0.5)
     """
 
-    def __init__(self, view: Pinhole, frames: float) -> None:
+    def __init__(self, view: Pinhole, frames: float, workers: Workers | None = None) -> None:
         self._view, self._keep = view, float(np.exp(-1 / frames))
+        self._workers = workers or Workers()
         self.reset()
 
     def reset(self) -> None:
@@ -173,9 +174,9 @@ class MovingMemory:
             Standard deviation of the noise of `light`.
         """
         smooth = cv2.GaussianBlur(light, (0, 0), _SMOOTHING_PX)
-        roots = np.sqrt(np.maximum(smooth, np.float32(1e-4)))
+        roots = cv2.sqrt(np.maximum(smooth, np.float32(1e-4)))
         middle = float(np.median(roots[::_SPARSE, ::_SPARSE]))
-        image = np.rint(np.minimum(roots * self._greys_of(middle), 255)).astype(np.uint8)
+        image = np.asarray(cv2.convertScaleAbs(roots, alpha=self._greys_of(middle)), np.uint8)
         given = None if pose is None else Pose.of(pose)
         last, key, moved = self._last, self._key, self._moved(image, given)
         if last is None or key is None or moved.since is None:
@@ -212,11 +213,12 @@ class MovingMemory:
         return greys
 
     def _spread(self, matrix: DoubleArray, covariance: DoubleArray | None, inverse: float) -> float:
-        """Standard deviation of a step's end, px, by its stated covariance; past frames have it."""
-        if covariance is None:
-            covariance = np.zeros((6, 6))
+        """Standard deviation of a step's end, px, by its stated covariance; past frames have it.
+
+        0 without one.
+        """
         self._seen = tuple(seen.carried(matrix, covariance) for seen in self._seen)
-        return deviation_px(covariance, self._view, inverse)
+        return 0.0 if covariance is None else deviation_px(covariance, self._view, inverse)
 
     def _moved(self, image: NDArray[np.uint8], pose: Pose | None) -> _Moved:
         """Find the motion since the key frame, from the last motion on, or check a given one."""
@@ -246,7 +248,10 @@ class MovingMemory:
         Within its covariance, if one is stated, they change it.
         """
         assert self._key is not None  # there is a last frame
-        found = Found.of(self._key.landmarks, image, self._view, given)
+        landmarks = self._key.landmarks
+        if covariance is None and len(landmarks.pixels) >= 2 * _ENOUGH:
+            landmarks = landmarks.some(slice(None, None, 2))
+        found = Found.of(landmarks, image, self._view, given)
         if found is None:  # nothing contradicts it
             return _Moved(given, given=True, covariance=covariance)
         near, matrix = found.improved(given, self._view), given
@@ -295,31 +300,30 @@ class MovingMemory:
 
         `errors` are the noise of the roots, and the misfit of the landmarks.
         """
-
-        def unsuited(seen: Seen) -> float:
-            parallax_px = self._parallax_px(seen, pose, belief.middle)
-            return abs(float(np.log((parallax_px + 1e-3) / _BEST_PARALLAX_PX)))
-
-        best = min(self._seen, key=unsuited, default=None)
-        if best is None or self._parallax_px(best, pose, belief.middle) < _LEAST_PARALLAX_PX:
+        if not self._seen:
             return belief
-        told = by_parallax(roots, best, pose, self._view, belief, *errors)
-        together = fused(belief, told, _PARALLAX_AGREEMENT)
-        smooth = cv2.medianBlur(together.inverse, _GRAIN_PX)
-        smooth = settled_at_edges(smooth, roots, best, pose, self._view, errors[0])
-        return dataclasses.replace(together, inverse=cv2.medianBlur(smooth, _EDGE_GRAIN_PX))
+        parallax_px = self._parallax_px(self._seen, pose, belief.middle)
+        index = int(np.argmin(np.abs(np.log((parallax_px + 1e-3) / _BEST_PARALLAX_PX))))
+        if parallax_px[index] < _LEAST_PARALLAX_PX:
+            return belief
+        best = self._seen[index]
+        return with_parallax(belief, (roots, best), pose, self._view, errors, self._workers)
 
-    def _parallax_px(self, seen: Seen, pose: DoubleArray, inverse: float) -> float:
-        """About how far what has an inverse depth moved since a frame, but for rotation, px."""
-        shift = seen.pose[:3, :3].T @ (pose[:3, 3] - seen.pose[:3, 3])
-        length = float(np.hypot(np.hypot(*shift[:2]), _FORWARD * shift[2]))
-        return length * self._view.focal_px[0] * inverse
+    def _parallax_px(
+        self, seen: tuple[Seen, ...], pose: DoubleArray, inverse: float
+    ) -> DoubleArray:
+        """About how far what has an inverse depth moved since frames, but for rotation, px [n]."""
+        before = np.stack([each.pose[:3] for each in seen])
+        shift = np.einsum("nij,ni->nj", before[:, :, :3], pose[:3, 3] - before[:, :, 3])
+        length = np.hypot(np.hypot(shift[:, 0], shift[:, 1]), _FORWARD * shift[:, 2])
+        return np.asarray(length * self._view.focal_px[0] * inverse)
 
     def _keep_seen(self, seen: Seen, belief: Belief) -> None:
         """Keep a frame, unless it has hardly any parallax to the last that was kept."""
-        last = self._seen[-1] if self._seen else None
-        if last is None or self._parallax_px(last, seen.pose, belief.middle) > _LEAST_PARALLAX_PX:
-            self._seen = (*self._seen, seen)[-_KEPT:]
+        last = self._seen[-1:]
+        if last and self._parallax_px(last, seen.pose, belief.middle)[0] <= _LEAST_PARALLAX_PX:
+            return
+        self._seen = (*self._seen, seen)[-_KEPT:]
 
     def _follow(self, image: NDArray[np.uint8], step: Step, moved: _Moved) -> None:
         """Go on with the landmarks, or look for new ones where they have become few or strange."""

@@ -7,6 +7,7 @@ import cv2
 from coded_aperture_ros.core.arrays import Shape, in_memory
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.options import option
+from coded_aperture_ros.core.workers import Workers
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.moving import MovingMemory, Pinhole
@@ -51,9 +52,8 @@ def make(plan: Plan, config: Config) -> Stage:
         raise InputError(
             "moving_camera: needs depth in metres and the camera's view: give a camera file"
         )
-    return MovingCamera(
-        plan.levels, plan.camera, config.temporal_frames, config.moving_camera in (GYRO, POSE)
-    )
+    takes_poses = config.moving_camera in (GYRO, POSE)
+    return MovingCamera(plan.levels, plan.camera, config.temporal_frames, takes_poses, plan.workers)
 
 
 class MovingCamera(Stage):
@@ -61,9 +61,16 @@ class MovingCamera(Stage):
 
     name = "moving camera"
 
-    def __init__(self, levels: Levels, camera: Camera, frames: float, takes_poses: bool) -> None:
+    def __init__(
+        self,
+        levels: Levels,
+        camera: Camera,
+        frames: float,
+        takes_poses: bool,
+        workers: Workers | None = None,
+    ) -> None:
         self._translation, self._camera = Translation(levels), camera
-        self._frames, self._takes_poses = frames, takes_poses
+        self._frames, self._takes_poses, self._workers = frames, takes_poses, workers
         self._memory: tuple[Shape, MovingMemory] | None = None
 
     def __call__(self, work: Work) -> None:
@@ -93,5 +100,5 @@ class MovingCamera(Stage):
     def _memory_for(self, size: Shape) -> MovingMemory:
         if self._memory is None or self._memory[0] != size:
             view = Pinhole.of_map(self._camera, size)
-            self._memory = size, MovingMemory(view, self._frames)
+            self._memory = size, MovingMemory(view, self._frames, self._workers)
         return self._memory[1]
