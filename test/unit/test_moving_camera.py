@@ -429,8 +429,8 @@ def test_past_frames_make_more_of_the_space_free(fine_bank):
 @pytest.mark.parametrize(
     "beside",
     [
-        {"free_space_risk": 0.01},
-        {"second_surface": True},
+        {"free_space_risk": 0.01, "confidence_threshold": 0.6},
+        {"second_surface": True, "confidence_threshold": 0.6},
         {"unknown": "nearest"},
         {"regularize": "semiglobal"},
         {"regularize": "learned", "confidence_threshold": 0.9},

@@ -8,7 +8,7 @@ from coded_aperture_ros.depth.moving import Pinhole, carrying, matching, outcome
 from coded_aperture_ros.depth.moving.edges import settle
 from coded_aperture_ros.depth.moving.equations import add_equations
 from coded_aperture_ros.depth.moving.fusion import fuse
-from coded_aperture_ros.depth.moving.outcome_plain import ENTRIES
+from coded_aperture_ros.depth.moving.outcome_plain import ENTRIES, PUBLISHED
 
 SHAPE = 24, 32
 VIEW = Pinhole(SHAPE, (30.0, 31.0), (15.0, 12.0))
@@ -137,7 +137,8 @@ def test_forms_of_the_outcome(random, shape):
     axial = np.linspace(1.3, 0.1, 10).astype(np.float32)
     level_of = np.linspace(9, 0, ENTRIES).astype(np.float32)
     density = np.float32((ENTRIES - 1) / 1.2)
-    tables = axial, np.full(10, 0.13, np.float32), level_of, (np.float32(0.1), density)
+    ends = np.float32(0.1), density
+    tables = axial, np.full(10, 0.13, np.float32), level_of, PUBLISHED, ends
     fused = belief(random)
     own = (fused[0] * random.uniform(0.9, 1.1, SHAPE)).astype(np.float32)
     small, large = [], []

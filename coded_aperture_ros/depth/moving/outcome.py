@@ -48,6 +48,7 @@ class Translation:
             axial.astype(np.float32),
             slopes.astype(np.float32),
             level_of.astype(np.float32),
+            PUBLISHED,
             (np.float32(ends[0]), np.float32(density)),
         )
 
@@ -96,10 +97,11 @@ def _reduced(values: FloatArray, shape: Shape) -> FloatArray:
 def _translate_loop(
     level: FloatArray, own: FloatArray, fused: Maps, tables: Tables, found: Found
 ) -> None:
-    (inverse, variance, confidence), (axial, per_level, level_of, (first, density)) = fused, tables
+    (inverse, variance, confidence), (axial, per_level, level_of, right, ends) = fused, tables
+    first, density = ends
     new_level, deviation, published, same = found
     last, last_entry = np.int32(len(axial) - 1), np.int32(len(level_of) - 1)
-    most = np.int32(len(PUBLISHED) - 1)
+    most = np.int32(len(right) - 1)
     for row in range(level.shape[0]):
         for column in range(level.shape[1]):
             now = min(max(level[row, column], _ZERO), np.float32(last))
@@ -115,8 +117,8 @@ def _translate_loop(
             deviation[row, column] = math.sqrt(variance[row, column]) / slope
             at = confidence[row, column] * np.float32(most)
             entry = np.uint32(min(np.int32(at), most - 1))
-            rise = PUBLISHED[entry + _NEXT] - PUBLISHED[entry]
-            published[row, column] = PUBLISHED[entry] + (at - np.float32(entry)) * rise
+            rise = right[entry + _NEXT] - right[entry]
+            published[row, column] = right[entry] + (at - np.float32(entry)) * rise
             larger = max(inverse[row, column], own[row, column])
             same[row, column] = abs(change) <= _SAME * larger
 
