@@ -134,7 +134,9 @@ def fill_unusable(image: FloatArray, usable: BoolArray) -> FloatArray:
         cv.boxFilter(values, -1, _FILL_WINDOW_PX, normalize=False, borderType=cv.BORDER_CONSTANT)
         for values in (known, weight)
     )
-    holes = xp.nonzero(~usable)
+    # A device is not asked where they are.
+    holes = np.nonzero(~usable) if xp is np else ...
     total, count = total[holes], count[holes]
-    known[holes] = xp.where(count > 0.5, total / xp.maximum(count, 1), overall)
+    around = xp.where(count > 0.5, total / xp.maximum(count, 1), overall)
+    known[holes] = around if xp is np else xp.where(usable, known, around)
     return known

@@ -3,14 +3,7 @@
 import cv2
 import numpy as np
 
-from coded_aperture_ros.core.arrays import (
-    FloatArray,
-    filters,
-    in_memory,
-    namespace,
-    quantiles,
-    zeros,
-)
+from coded_aperture_ros.core.arrays import FloatArray, filters, namespace, quantiles, zeros
 from coded_aperture_ros.frames.patches import PatchGrid
 
 # Side of the squares that frames are compared in, px.
@@ -125,7 +118,7 @@ def frames_per_patch(frames: FloatArray, grid: PatchGrid) -> FloatArray:
     [[4.0, 4.0], [4.0, 4.0]]
     """
     side = max(grid.window_px // 2 // _SQUARE_PX, 1)
-    share = cv2.blur(1 / in_memory(frames), (side, side))
+    share = cv2.blur(1 / frames, (side, side))
     return np.asarray(1 / grid.centre_values(share, _SQUARE_PX), np.float32)
 
 

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from coded_aperture_ros.core.archive import read_shipped
+from coded_aperture_ros.core.arrays import namespace, quantiles
 from coded_aperture_ros.core.networks import network_of
 from coded_aperture_ros.core.tensors.onnx_graph import Graph
 from coded_aperture_ros.deblur.blend import blend
 from coded_aperture_ros.depth.decoders.network import network, second
 
 RANDOM = np.random.default_rng(0)
+HIGH = np.array([1, 0, -2, 0, 1], np.float32) / 4
 NETWORKS = {
     "levels": (network, {"levels": (5, 24, 8, 12)}),
     "cells": (
@@ -79,6 +81,12 @@ def test_networks_run_as_by_opencv(torch, name):
         lambda cv, picture: cv.copyMakeBorder(picture, 3, 8, 0, 9, cv.BORDER_REFLECT),
         lambda cv, picture: cv.dilate(picture, np.ones((5, 5), np.uint8)),
         lambda cv, picture: cv.erode(picture, np.ones((11, 11), np.uint8)),
+        lambda cv, picture: cv.medianBlur(picture, 3),
+        lambda cv, picture: cv.absdiff(picture[1:], picture[:-1]),
+        lambda cv, picture: cv.sepFilter2D(picture, -1, HIGH, HIGH),
+        lambda cv, picture: cv.boxFilter(
+            picture, -1, (5, 9), normalize=False, borderType=cv.BORDER_CONSTANT
+        ),
     ],
 )
 def test_tensors_are_filtered_as_by_opencv(torch, filtered, shape):
@@ -88,7 +96,45 @@ def test_tensors_are_filtered_as_by_opencv(torch, filtered, shape):
     expected = filtered(cv2, picture)
     found = filtered(filters, torch.from_numpy(picture)).numpy()
     assert found.shape == expected.shape
-    assert np.abs(found - expected).max() < 1e-6
+    assert np.abs(found - expected).max() < 1e-6 * max(np.abs(expected).max(), 1)
+
+
+@pytest.mark.parametrize(
+    "computed",
+    [
+        lambda xp, a: xp.minimum(a, 0.5),
+        lambda xp, a: xp.maximum(a, a[::1] * 0.5 + 0.2),
+        lambda xp, a: xp.sort(a, axis=0),
+        lambda xp, a: xp.median(a),
+        lambda xp, a: xp.std(a),
+        lambda xp, a: xp.take(a, np.array([3, 0, 3]), axis=1),
+        lambda xp, a: xp.take_along_axis(a, xp.asarray(a * 9, dtype=xp.int64), axis=0),
+        lambda xp, a: xp.repeat(a, 3, axis=1),
+        lambda xp, a: xp.copy(a),
+        lambda xp, a: xp.bincount(xp.asarray(a.ravel() * 9, dtype=xp.int64), a.ravel(), 12),
+        lambda xp, a: xp.bincount(xp.asarray(a.ravel() * 9, dtype=xp.int64), None, 12),
+        lambda xp, a: quantiles(a, 0.1, 0.5, 1.0),
+        lambda xp, a: quantiles(a, 0.1, 0.5, where=a[:, 0] > 0.4),
+    ],
+)
+@pytest.mark.parametrize("rows", [11, 12])
+def test_functions_mean_what_those_of_numpy_do(torch, computed, rows):
+    values = RANDOM.random((rows, 7), np.float32)
+    given = torch.from_numpy(values)
+    expected, found = computed(namespace(values), values), computed(namespace(given), given)
+    assert tuple(found.shape) == np.shape(expected)
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-6)
+
+
+def test_a_mean_in_place_is_that_of_opencv(torch):
+    from coded_aperture_ros.core.tensors import filters
+
+    given = RANDOM.random((3, 21, 33), np.float32)
+    forms = ((cv2, given.copy()), (filters, torch.from_numpy(given.copy())))
+    for cv, (one, other, total) in forms:
+        cv.accumulateProduct(cv.subtract(one, other, one), other, total)
+    (_, expected), (_, found) = forms
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5, atol=1e-7)
 
 
 def test_colours_are_shrunk_as_by_opencv(torch):

@@ -1,7 +1,7 @@
 """NumPy's functions for tensors: PyTorch's, and where these differ, some of NumPy's meaning.
 
 Arithmetic that is written once takes the functions from here or from NumPy; see `arrays.namespace`.
-Nothing but `nonzero` waits for a device.
+Nothing waits for a device.
 """
 
 from collections.abc import Sequence
@@ -70,11 +70,6 @@ def maximum(
 def copy(a: torch.Tensor) -> torch.Tensor:
     """Copy of a tensor."""
     return a.clone()
-
-
-def nonzero(a: torch.Tensor) -> tuple[torch.Tensor, ...]:
-    """Indices of what is not 0, for each axis; waits for the device."""
-    return torch.nonzero(a, as_tuple=True)
 
 
 def median(a: torch.Tensor) -> torch.Tensor:

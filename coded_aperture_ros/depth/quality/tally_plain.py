@@ -20,13 +20,14 @@ def tally_plain(
     (radius, vertical, horizontal, sector), (of_rings, of_map) = at, sums
     xp = namespace(residual)
     weights = xp.repeat(weight, len(radius), axis=0)
-    values = weights * residual.ravel(), weights, None
+    # Windows without weight, which only tensors have, do not count.
+    values = weights * residual.ravel(), weights, weights > 0
     ring = xp.minimum(_whole(xp.outer(2 * size_px, radius)), RINGS)
     column = xp.minimum(_whole(xp.outer(size_px, horizontal) * MAP_STEPS), MAP_COLUMNS - 1)
     row = _whole(xp.outer(size_px, vertical) * MAP_STEPS + MAP_ROWS // 2)
     in_map = column * MAP_ROWS + xp.clip(row, 0, MAP_ROWS - 1)
     for totals, cell in ((of_rings, ring * SECTORS + sector), (of_map, in_map)):
-        for total, value in zip(totals, values, strict=False):
+        for total, value in zip(totals, values[: len(totals)], strict=True):
             total += xp.bincount(cell.ravel(), value, len(total))
 
 

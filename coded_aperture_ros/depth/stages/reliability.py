@@ -8,7 +8,7 @@ import dataclasses
 
 import numpy as np
 
-from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
+from coded_aperture_ros.core.arrays import DoubleArray, FloatArray, constant, namespace
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Plan, Stage, Work
 
@@ -29,9 +29,10 @@ def reliability_terms(confidence: FloatArray, noise: float) -> DoubleArray:
     noise : float
         Standard deviation of one channel's noise, linear light.
     """
-    certain = np.clip(confidence.astype(np.float64), _SURE, 1 - _SURE)
-    of_noise = np.full_like(certain, np.log(np.clip(noise, *_NOISES)))
-    return np.stack([np.ones_like(certain), np.log(certain / (1 - certain)), of_noise])
+    xp = namespace(confidence)
+    certain = xp.clip(xp.asarray(confidence, dtype=xp.float64), _SURE, 1 - _SURE)
+    of_noise = xp.full_like(certain, float(np.log(np.clip(noise, *_NOISES))))
+    return xp.stack([xp.ones_like(certain), xp.log(certain / (1 - certain)), of_noise])
 
 
 def make(plan: Plan, config: object) -> Stage:
@@ -49,6 +50,7 @@ class Reliability(Stage):
     def __call__(self, work: Work) -> None:
         """Change the log-odds of the confidence."""
         terms = reliability_terms(work.confidence, work.observation.channel_noise)
-        measured = 1 / (1 + np.exp(-np.tensordot(self.coefficients, terms, axes=1)))
-        measured = measured.astype(np.float32)
-        work.confidence = np.where(work.confidence > 0, measured, work.confidence)
+        xp, coefficients = namespace(terms), constant(self.coefficients, terms)
+        measured = 1 / (1 + xp.exp(-xp.tensordot(coefficients, terms, 1)))
+        measured = xp.asarray(measured, dtype=xp.float32)
+        work.confidence = xp.where(work.confidence > 0, measured, work.confidence)

@@ -1,6 +1,6 @@
 """Noise reduction where nothing moves: mean of the equal frames of a video."""
 
-from coded_aperture_ros.core.arrays import FloatArray, namespace
+from coded_aperture_ros.core.arrays import FloatArray, in_memory, namespace
 from coded_aperture_ros.depth.layer import LayerSpec
 from coded_aperture_ros.depth.stage import Block, Plan, Stage, Work
 from coded_aperture_ros.depth.stages import temporal
@@ -31,9 +31,8 @@ class StaticAveraging(Stage):
     def __call__(self, work: Work) -> None:
         """Put the mean of the frames so far in the place of the frame."""
         observation = work.observation
-        work.grey, work.averaged_frames = self._before.add(
-            observation.grey, observation.noise.least
-        )
+        work.grey, count = self._before.add(observation.grey, observation.noise.least)
+        work.averaged_frames = in_memory(count)
 
     def both_ways(self, block: Block) -> None:
         """Put the mean of the frames before and after each in its place."""
@@ -45,7 +44,8 @@ class StaticAveraging(Stage):
         for work, before in zip(reversed(block.works), reversed(self._waiting), strict=True):
             observation = work.observation
             backward = after.add(observation.grey, observation.noise.least)
-            work.grey, work.averaged_frames = join_averages(before, backward, observation.grey)
+            work.grey, count = join_averages(before, backward, observation.grey)
+            work.averaged_frames = in_memory(count)
         self._waiting = self._waiting[block.finished :]
 
     def reset(self) -> None:
