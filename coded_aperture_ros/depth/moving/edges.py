@@ -9,11 +9,9 @@ import numpy as np
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.compiled import Compiled
 from coded_aperture_ros.depth.moving.edges_plain import (
+    BETTER,
     EDGE,
-    FARTHER,
-    FITS,
     MOST,
-    NEARER,
     REACH,
     Surfaces,
     settle_plain,
@@ -22,10 +20,9 @@ from coded_aperture_ros.depth.moving.geometry import LEAST_DEPTH, Way
 from coded_aperture_ros.depth.moving.matching_plain import Pair
 
 # Side of the square in which surfaces are looked for, px of the map.
-_AROUND_PX = 7
+_AROUND_PX = 5
 _ZERO, _ONE, _TWO, _NONE = np.float32(0), np.float32(1), np.float32(2), np.float32(1e9)
-_NEARER, _FARTHER = np.float32(NEARER), np.float32(FARTHER)
-_EDGE, _MOST, _FITS = np.float32(EDGE), np.float32(MOST**2), np.float32(FITS)
+_BETTER, _EDGE, _MOST = np.float32(BETTER), np.float32(EDGE), np.float32(MOST**2)
 _SHARE = np.float32(1 / (2 * REACH + 1) ** 2)
 
 
@@ -91,10 +88,8 @@ def _loop(pair: Pair, way: Way, surfaces: Surfaces, noise: np.float32, found: Fl
                     left += min(difference * difference, _MOST) * _SHARE
                 if choice == 0:
                     least = left
-                elif left < (_NONE if choice == 1 else _FITS):
-                    better = _NEARER if choice == 1 else _FARTHER
-                    if left * better + _TWO * noise * noise < least:
-                        least, found[row, column] = left, at
+                elif left < _NONE and left * _BETTER + _TWO * noise * noise < least:
+                    least, found[row, column] = left, at
 
 
 # Fills a map of the inverse depth that an earlier frame suits best, of three at every pixel beside

@@ -119,8 +119,8 @@ class Landmarks:
         variance = belief.variance[rows, columns] + np.square(_DEPTH_SHARE * inverse)
         return cls(image, pixels[known], inverse[known], variance[known])
 
-    def some(self, which: slice | BoolArray) -> "Landmarks":
-        """Some of the points."""
+    def some(self, which: BoolArray) -> "Landmarks":
+        """Those of the points that a mask [n] has."""
         of_points = self.pixels[which], self.inverse[which], self.variance[which]
         return Landmarks(self.image, *of_points)
 

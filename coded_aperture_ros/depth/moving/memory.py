@@ -29,8 +29,6 @@ _SHARE_LEFT, _MOST_MISFIT = 0.75, 1.5
 # A pose is wrong if the squared errors of landmarks are so many times what the best motion near it
 # leaves, and by so much more.
 _WRONG, _WRONG_BY = 2.0, 2.0
-# So many landmarks check a pose as well as twice as many do.
-_ENOUGH = 50
 # Standard deviation of a turn that is told, as by a gyroscope: rad, and as a share of it.
 _TURN, _TURN_SHARE = 0.001, 0.01
 # No stated covariance of a step is taken to be less: standard deviations, m and rad.
@@ -248,10 +246,7 @@ class MovingMemory:
         Within its covariance, if one is stated, they change it.
         """
         assert self._key is not None  # there is a last frame
-        landmarks = self._key.landmarks
-        if covariance is None and len(landmarks.pixels) >= 2 * _ENOUGH:
-            landmarks = landmarks.some(slice(None, None, 2))
-        found = Found.of(landmarks, image, self._view, given)
+        found = Found.of(self._key.landmarks, image, self._view, given)
         if found is None:  # nothing contradicts it
             return _Moved(given, given=True, covariance=covariance)
         near, matrix = found.improved(given, self._view), given

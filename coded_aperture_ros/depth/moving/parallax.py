@@ -39,7 +39,7 @@ _GRAIN_PX = 5
 _EDGE_GRAIN_PX = 3
 # Rows around others that change them, px, an even number: the surfaces around and their windows,
 # windows of the match, medians, and edges.
-_HALO_PX = 22
+_HALO_PX = 20
 # Of how many rows and columns one is enough to choose a surface, and of these for a median.
 _SPARSE, _OF_MEDIAN = 2, 3
 
