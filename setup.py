@@ -121,6 +121,7 @@ setup(
             "pytest-timeout>=2.3",
             "pytest-xdist>=3.5",
             "hypothesis>=6.100",
+            "array-api-strict>=2.0",
             "argcomplete>=3",
             "ezdxf>=1.0",
             # Checks printable holders.

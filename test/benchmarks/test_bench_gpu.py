@@ -34,11 +34,15 @@ def test_all_kinds_of_frames_are_compared_and_timed(capsys):
         [row for row in rows if row["what"] == what]
         for what in ("agreement", "depth", "deblurring")
     )
-    assert len(agreement) == len(depth) == 4 and len(deblurring) == 1
+    assert len(agreement) == len(depth) == 5 and len(deblurring) == 1
     assert all(row["equal"] > 0.999 and row["confidence"] < 0.05 for row in agreement)
+    assert all(row["health"] < 0.02 for row in agreement)
+    assert [row["layers"] > 0.99 for row in agreement if "layers" in row] == [True]
     for row in depth:
         assert row["p50_ms"] > 0 and row["processor_p50_ms"] > 0 and not row["recorded"]
-        assert {"to device", "likelihood", "small patches", "decode"} <= row["stages_ms"].keys()
+        assert {"to device", "likelihood", "small patches", "decode", "from device"} <= row[
+            "stages_ms"
+        ].keys()
     assert deblurring[0]["p50_ms"] > 0
 
 
@@ -46,4 +50,4 @@ def test_tables_have_rows_for_each(capsys):
     pytest.importorskip("torch", reason="needs PyTorch")
     assert main_of_all(WORDS) == 0
     printed = capsys.readouterr().out
-    assert printed.count("128x96") == 3 * 4 + 1 and "processor, by PyTorch" in printed
+    assert printed.count("128x96") == 3 * 5 + 1 and "processor, by PyTorch" in printed

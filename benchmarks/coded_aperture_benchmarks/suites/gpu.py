@@ -4,7 +4,7 @@ import argparse
 import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -23,13 +23,15 @@ from coded_aperture_ros.depth import DepthConfig, DepthEstimate, DepthEstimator
 from coded_aperture_ros.likelihood import check_backend
 from coded_aperture_ros.likelihood.bank import FilterBank, learn_bank
 from coded_aperture_ros.metrics.times import Times
-from coded_aperture_ros.optics import Mask, render_psf_stack
+from coded_aperture_ros.optics import Camera, Mask, render_psf_stack
 from coded_aperture_ros.simulation.layered import random_scene
 
 _BACKENDS = {"cuda": "cuda", "cpu": "torch"}
 # Memory of a video, frames; see `temporal_frames`.
 _MEMORY = 4.0
 _WARM_UP = 5
+# Blur of the camera at infinity, px.
+_INFINITY_PX = 19.2
 # Frames on the processor, for one on the device; they are only for comparison.
 _PROCESSOR_SHARE = 5
 _SEEDS = 3
@@ -38,11 +40,17 @@ _NOISE = 0.002
 _SHARES = (0.9, 0.7, 0.8)
 # Difference of levels that counts as none, levels.
 _SAME = 0.02
-_KINDS = {
-    "still, grey": (1, 0.0),
-    "still, colour": (3, 0.0),
-    "video, grey": (1, _MEMORY),
-    "video, colour": (3, _MEMORY),
+# Channels, memory, and options of the stages that are only there when they are asked for.
+_KINDS: dict[str, tuple[int, float, dict[str, Any]]] = {
+    "still, grey": (1, 0.0, {}),
+    "still, colour": (3, 0.0, {}),
+    "video, grey": (1, _MEMORY, {}),
+    "video, colour": (3, _MEMORY, {}),
+    "still, all layers": (
+        1,
+        0.0,
+        {"free_space_risk": 0.005, "second_surface": True, "unknown": "nearest"},
+    ),
 }
 
 
@@ -86,51 +94,74 @@ def _bank() -> FilterBank:
 
 def _estimators(cell: Cell, bank: FilterBank) -> tuple[DepthEstimator, DepthEstimator]:
     """Estimators on the device, and on the processor with the network in float32."""
-    memory = _KINDS[cell.kind][1]
+    _, memory, asked = _KINDS[cell.kind]
     backend = _BACKENDS[cell.device]
     # PyTorch's threads wait actively, which takes the processor from others.
     threads = 1 if cell.device == "cpu" else 0
-    on_device = DepthConfig(temporal_frames=memory, backend=backend, threads=threads)
-    usual = DepthConfig(temporal_frames=memory, network="opencv")
-    return DepthEstimator(bank, on_device), DepthEstimator(bank, usual)
+    on_device = DepthConfig(temporal_frames=memory, backend=backend, threads=threads, **asked)
+    usual = DepthConfig(temporal_frames=memory, network="opencv", **asked)
+    rows, columns = cell.size
+    # Whose blur at infinity is a little more than the bank's largest.
+    extent_mm = 1000 * _INFINITY_PX / columns
+    camera = Camera(float(columns), 1.0, columns, rows, Mask.named(MASK), extent_mm)
+    return DepthEstimator(bank, on_device, camera), DepthEstimator(bank, usual, camera)
 
 
 def _agreement(cell: Cell, bank: FilterBank) -> Row:
     """Share of pixels with equal levels, on rendered scenes with missing and saturated pixels."""
-    channels, memory = _KINDS[cell.kind]
+    channels, memory, asked = _KINDS[cell.kind]
     on_device, usual = _estimators(cell, bank)
-    shares, confidence = [], []
+    rows: list[dict[str, float]] = []
     for seed in range(cell.frames):
-        coded = random_scene(seed, Mask.named(MASK), "far", cell.size).coded()
-        noise = np.random.default_rng(seed).standard_normal((3, *coded.shape), np.float32)
-        light = np.stack(
-            [
-                share * coded + _NOISE * each
-                for share, each in zip((0.9, 0.7, 0.8), noise, strict=True)
-            ],
-            axis=-1,
-        )
-        light[: cell.size[0] // 8, : cell.size[1] // 8] = np.nan
-        light[-cell.size[0] // 8 :, -cell.size[1] // 8 :] = 1
+        light = _scene(seed, cell.size)
         frame = np.ascontiguousarray(light if channels == 3 else light[..., 0])
         for _ in range(2 if memory else 1):
             found, expected = on_device.estimate(frame), usual.estimate(frame)
-        shares.append(_equal_share(found, expected))
-        confidence.append(float(np.abs(found.confidence - expected.confidence).max()))
+        rows.append(_differences(found, expected))
     on_device.close()
     usual.close()
-    return {"equal": min(shares), "confidence": max(confidence)}
+    shares = ("equal", "layers") if asked else ("equal",)
+    worst = {name: min(row[name] for row in rows) for name in shares}
+    return worst | {name: max(row[name] for row in rows) for name in ("confidence", "health")}
 
 
-def _equal_share(found: DepthEstimate, expected: DepthEstimate) -> float:
-    """Share of the pixels whose levels are equal, or unknown in both."""
-    same = np.isclose(found.level, expected.level, rtol=0, atol=_SAME, equal_nan=True)
-    return float(same.mean())
+@lru_cache(maxsize=_SEEDS)
+def _scene(seed: int, size: Size) -> FloatArray:
+    """Light of a rendered scene with missing and saturated pixels, float32 [rows, columns, 3]."""
+    coded = random_scene(seed, Mask.named(MASK), "far", size).coded()
+    noise = np.random.default_rng(seed).standard_normal((3, *coded.shape), np.float32)
+    channels = zip(_SHARES, noise, strict=True)
+    light = np.stack([share * coded + _NOISE * each for share, each in channels], axis=-1)
+    light[: size[0] // 8, : size[1] // 8] = np.nan
+    light[-size[0] // 8 :, -size[1] // 8 :] = 1
+    return light
+
+
+def _differences(found: DepthEstimate, expected: DepthEstimate) -> dict[str, float]:
+    """Shares of equal levels and layers, and differences of confidence and health.
+
+    What is unknown in both is equal.
+    """
+    layers = [
+        np.isclose(found.layers[name].values, layer.values, rtol=0.01, equal_nan=True).mean()
+        for name, layer in expected.layers.items()
+    ]
+    health, other = (
+        0.0 if each is None else each.value for each in (found.health, expected.health)
+    )
+    return {
+        "equal": float(
+            np.isclose(found.level, expected.level, rtol=0, atol=_SAME, equal_nan=True).mean()
+        ),
+        "layers": float(min(layers, default=1.0)),
+        "confidence": float(np.abs(found.confidence - expected.confidence).max()),
+        "health": abs(health - other),
+    }
 
 
 def _depth_times(cell: Cell, bank: FilterBank) -> Row:
     """Times of whole frames, and of each stage, after which the device is waited for."""
-    channels, _ = _KINDS[cell.kind]
+    channels, *_ = _KINDS[cell.kind]
     frames = _frames(bank, cell.size, channels)
     on_device, usual = _estimators(cell, bank)
     wait = _waiting(cell.device)
@@ -141,12 +172,12 @@ def _depth_times(cell: Cell, bank: FilterBank) -> Row:
             stages.setdefault(stage, []).append(seconds)
     few = max(cell.frames // _PROCESSOR_SHARE, 1)
     on_processor = _frame_times(usual.estimate, frames, few)
-    is_recorded = _is_recorded(on_device, cell.size)
+    recorded = _is_recorded(on_device, cell.size)
     on_device.close()
     usual.close()
     return {
         **dataclasses.asdict(times),
-        "recorded": is_recorded,
+        "recorded": recorded,
         "processor_p50_ms": on_processor.p50_ms,
         "stages_ms": {name: 1000 * float(np.median(each)) for name, each in stages.items()},
     }
@@ -197,9 +228,11 @@ def _waiting(device: str) -> Callable[[], None]:
 
 
 def _is_recorded(estimator: DepthEstimator, size: Size) -> bool:
-    """Whether the step from costs to maps is a CUDA graph."""
-    decoders = (getattr(stage, "decoder", None) for stage in estimator.back(size))
-    return any(getattr(decoder, "is_recorded", False) for decoder in decoders)
+    """Whether the steps from costs to maps and of the check of fit are CUDA graphs."""
+    stages: Sequence[Any] = estimator.back(size)
+    decoders = [stage.decoder for stage in stages if hasattr(stage, "decoder")]
+    checks = [stage.check.on_device for stage in stages if hasattr(stage, "check")]
+    return all(getattr(part, "is_recorded", False) for part in (*decoders, *checks))
 
 
 def _deblurring_times(cell: Cell, bank: FilterBank) -> Row:
@@ -247,6 +280,10 @@ def _text(results: Row) -> str:
                     "frames": "{kind}",
                     "levels equal": lambda row: f"{100 * row['equal']:.3f} %",
                     "confidence differs by": "{confidence:.4f}",
+                    "health by": "{health:.4f}",
+                    "layers equal": lambda row: (
+                        f"{100 * row['layers']:.3f} %" if "layers" in row else ""
+                    ),
                 },
             ),
             "depth of a frame, ms\n" + columns(depth, _OF_DEPTH),

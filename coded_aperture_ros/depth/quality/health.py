@@ -248,7 +248,7 @@ class FitCheck:
         given = {"grey": grey, "noise": noise, "known": sigma, "unusable": observation.unusable}
         given |= {"misfit": misfit, "usable": observation.usable}
         given |= {"level": level, "confidence": confidence}
-        find: Any = self.numbers if isinstance(grey, np.ndarray) else self._on_device
+        find: Any = self.numbers if isinstance(grey, np.ndarray) else self.on_device
         for cells in _CELLS:
             count, *numbers = find(cells, given) or [0]
             if count >= FEWEST_WINDOWS:
@@ -302,7 +302,8 @@ class FitCheck:
         ]
 
     @cached_property
-    def _on_device(self) -> Callable[[int, dict[str, Any]], Sequence[Any]]:
+    def on_device(self) -> Callable[[int, dict[str, Any]], Sequence[Any]]:
+        """Form of `numbers` for tensors."""
         from coded_aperture_ros.depth.quality.on_device import RecordedNumbers
 
         return RecordedNumbers(self.numbers)

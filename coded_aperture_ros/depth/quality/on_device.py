@@ -38,6 +38,12 @@ class RecordedNumbers:
         row: list[float] = in_memory(found["numbers"]).tolist()
         return row
 
+    @property
+    def is_recorded(self) -> bool:
+        """Whether all its work so far is a CUDA graph."""
+        steps = self._steps.values()
+        return bool(steps) and all(step.is_recorded for step in steps)
+
     def _row(self, cells: int, inputs: Tensors) -> Tensors:
         """Row of the numbers; without any textured window that of their number alone."""
         numbers = self._numbers(cells, {"unusable": None, **inputs})

@@ -32,11 +32,13 @@ def quantile_px(cells: HalfCells, share: float | NDArray[np.floating]) -> FloatA
     xp = namespace(cells.logits)
     probability = xp.exp(cells.logits - xp.amax(cells.logits, 0))
     left = share * probability.sum(axis=0)
-    rank = xp.zeros_like(left, dtype=xp.int64)
+    if xp is not np:  # few large operations
+        return constant(cells.tried_px, left)[(left > xp.cumsum(probability[:-1], 0)).sum(0)]
+    rank = np.zeros(left.shape, np.intp)
     for each in probability[:-1]:
         left -= each
         rank += left > 0
-    return constant(cells.tried_px, rank)[rank]
+    return cells.tried_px[rank]
 
 
 def nearest_level_around(
