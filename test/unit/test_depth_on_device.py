@@ -252,15 +252,15 @@ def no_gpu(torch, monkeypatch):
     monkeypatch.setattr(recorded.Recorded, "__call__", run)
     for module in (on_device, health, noise, static_average):
         monkeypatch.setattr(module, "in_memory", array_of)
-    caches = constants._copied, filters._matrix, filters._border
+    forget = (constants.forget, filters._matrix.cache_clear, filters._border.cache_clear)
     try:
         with FakeTensorMode():
-            for cache in caches:
-                cache.cache_clear()
+            for each in forget:
+                each()
             yield asked
     finally:
-        for cache in caches:
-            cache.cache_clear()
+        for each in forget:
+            each()
 
 
 @pytest.mark.parametrize("shape", [(192, 240), (193, 241, 3)])

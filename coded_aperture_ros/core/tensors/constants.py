@@ -1,5 +1,6 @@
 """Constants on a device, each copied there once."""
 
+import weakref
 from functools import lru_cache
 from typing import Any
 
@@ -9,14 +10,31 @@ from numpy.typing import NDArray
 
 # Constants of a few frame sizes; one is at most a matrix of an axis, some MB.
 _KEPT = 1024
+# Arrays of so many bytes are known by themselves, as long as they exist: to compare a map of a
+# frame would take a millisecond.
+_LARGE = 2**18
+_large: dict[tuple[int, torch.device], tuple[weakref.ref[Any], torch.Tensor]] = {}
 
 
 def kept_on_device(values: NDArray[Any], device: torch.device) -> torch.Tensor:
-    """Tensor of an array; equal arrays share one, which must not be changed.
+    """Tensor of an array; equal arrays share one, which must not be changed, nor the array.
 
     A copy from the processor's memory makes a GPU wait, and cannot be recorded.
     """
-    return _copied(values.tobytes(), values.shape, values.dtype.str, device)
+    if values.nbytes < _LARGE:
+        return _copied(values.tobytes(), values.shape, values.dtype.str, device)
+    key = id(values), device
+    array, tensor = _large.get(key, (None, None))
+    if array is None or tensor is None or array() is not values:
+        tensor = torch.tensor(np.ascontiguousarray(values), device=device)
+        _large[key] = weakref.ref(values, lambda _: _large.pop(key, None)), tensor
+    return tensor
+
+
+def forget() -> None:
+    """Release all tensors."""
+    _copied.cache_clear()
+    _large.clear()
 
 
 @lru_cache(_KEPT)

@@ -45,8 +45,7 @@ class FieldDoubt(Stage):
         defocus = unmeasured_defocus(self.camera, (work.level.shape[0], work.level.shape[1]))
         assert defocus is not None  # else there is no such stage
         xp = namespace(work.level)
-        off_px = defocus * np.float32(self.camera.blur_per_dioptre_px)
-        off_px = constant(off_px, work.level)
+        off_px = constant(defocus, work.level) * float(self.camera.blur_per_dioptre_px)
         work.deviation = xp.hypot(work.deviation, off_px * float(self.levels.per_px))
         right = self._right(work.level, off_px)
         work.confidence = work.confidence * right
