@@ -9,6 +9,7 @@ import pytest
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.workers import Workers
+from coded_aperture_ros.deblur import DeblurConfig
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator, FocusPair
 from coded_aperture_ros.depth.levels import Levels
 from coded_aperture_ros.depth.moving import Belief, MovingMemory, Pinhole, Step, Trajectory
@@ -23,6 +24,7 @@ from coded_aperture_ros.frames import Frame, View
 from coded_aperture_ros.frames.pose import Pose
 from coded_aperture_ros.likelihood.bank import learn_bank_for_camera
 from coded_aperture_ros.optics import Camera, Mask
+from coded_aperture_ros.pipeline import FramePipeline
 
 VIEW = Pinhole((120, 160), (150.0, 150.0), (79.5, 59.5))
 WALL_M, BOX_M = 3.0, 1.5
@@ -447,6 +449,22 @@ def test_beside_other_options(fine_bank, beside):
     assert known.any() and known.all() == (beside.get("unknown") == "nearest")
     assert (estimate.std_dev_m[known] > 0).all()
     assert (estimate.confidence[known] >= config.confidence_threshold).all() or known.all()
+
+
+def test_all_in_focus_frames_go_by_all_frames_so_far(fine_bank):
+    config = DepthConfig(
+        temporal_frames=8, moving_camera="frames", check_fit=False, confidence_threshold=0.0
+    )
+    pipeline = FramePipeline(fine_bank, NARROW, config, deblur=DeblurConfig(method="inverse"))
+    for pose in WAY[:4]:
+        frame = Frame(seen(pose)[0])
+        estimate = pipeline(frame)
+    alone = DepthEstimator(fine_bank, DepthConfig(confidence_threshold=0.0), NARROW).estimate(frame)
+    used = pipeline.blur_size_px(frame, estimate)
+    fused = NARROW.blur_size_px(1 / estimate.camera_step.belief.inverse)
+    assert np.median(np.abs(used - fused)) < 0.1
+    assert np.median(np.abs(used - alone.blur_size_px)) > 0.1
+    assert pipeline.deblur(frame, estimate).shape == frame.shape
 
 
 def stated(poses, deviation_m):
