@@ -14,6 +14,7 @@ from coded_aperture_ros.calibration.planes.calibrate import PlanesCalibration, c
 from coded_aperture_ros.calibration.planes.field import fit_field
 from coded_aperture_ros.calibration.planes.folder import add_plane, listed_depths_m, load_planes
 from coded_aperture_ros.calibration.planes.pictures import Planes
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.cli.calibrate_field import field_summary, field_text, misplaced_planes
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.plane_pictures import (
@@ -216,6 +217,7 @@ def _calibrate_field(
         raise refused
     near_m, far_m = args.depth_range or planes.depths_m[[0, -1]].tolist()
     bank = learn_bank_for_camera(found.camera, near_m, far_m, args.level_count, args.filters)
+    bank = with_optics_limits(bank)
     with atomic_outputs() as output:
         if args.output is not None:
             write_report(output, args.output / _REPORT, summary, camera.mask)

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from functools import partial
 
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.checkup import FAILED, Finding, FrameCheckup, bank_findings, camera_findings
 from coded_aperture_ros.cli.command import Command, UsageError, argument
 from coded_aperture_ros.cli.reading import PixelArguments
@@ -109,9 +110,10 @@ def _depth_range_m(args: Arguments, bank: FilterBank | None) -> tuple[float, flo
 
 def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
     count = DEFAULT_LEVEL_COUNT
-    return learn_bank_for_camera(
+    bank = learn_bank_for_camera(
         camera, near_m, far_m, count, progress=lambda levels: progress(levels, count, "level")
     )
+    return with_optics_limits(bank)
 
 
 def _frames(

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.cli.command import Command, argument
 from coded_aperture_ros.cli.demo_cores import SharedCores
 from coded_aperture_ros.cli.demo_processes import Children
@@ -128,7 +129,7 @@ def learned_model(camera_file: Path, bank_file: Path, say: Speaker) -> dict[str,
     """Learn the bank, and return the parameters of the nodes that use it."""
     started_s = time.monotonic()
     bank = learn_bank_for_camera(load_camera(camera_file), *MOTORCYCLE_RANGE_M)
-    save_bank(bank, bank_file)
+    save_bank(with_optics_limits(bank), bank_file)
     say.line(f"learned a bank of {bank.levels} levels in {time.monotonic() - started_s:.1f} s")
     return {"camera_file": str(camera_file), "bank": str(bank_file)}
 

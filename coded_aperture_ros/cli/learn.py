@@ -11,6 +11,7 @@ import numpy as np
 from coded_aperture_ros.calibration.planes.calibrate import learn_bank_from_planes
 from coded_aperture_ros.calibration.planes.folder import load_folder
 from coded_aperture_ros.calibration.psf.nominal import SCENES, learn_nominal_bank
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.cli.bank_training import training_text, tuned_bank
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.reading import GammaArguments, read_numbers
@@ -173,7 +174,7 @@ def run(args: Arguments) -> int:
     training: Summary = {}
     if args.train is not None:
         bank, training = tuned_bank(bank, args.train, args.device, args.output)
-    save_bank(bank, args.output)
+    save_bank(with_optics_limits(bank, _step_progress), args.output)
     summary = {
         "output": args.output,
         "levels": bank.levels,

@@ -18,7 +18,7 @@ from coded_aperture_ros.depth.decoders.regularize import Regularizer, regularize
 from coded_aperture_ros.depth.decoders.sides import FocalSides
 from coded_aperture_ros.depth.estimate import DepthEstimate, check_map_size
 from coded_aperture_ros.depth.levels import Levels
-from coded_aperture_ros.depth.quality import FitCheck, OwnFit, unchecked_reason
+from coded_aperture_ros.depth.quality import FitCheck, OpticsFit, OwnFit, unchecked_reason
 from coded_aperture_ros.depth.stage import Plan, SecondFocus, Stage, Work, run
 from coded_aperture_ros.depth.stages import make_back, make_front
 from coded_aperture_ros.depth.stages.field_doubt import field_note
@@ -243,6 +243,7 @@ class DepthEstimator:
             guarded=model.guard_levels > 0,
             middle_only=model.field is not None,
             own_fit=OwnFit(model.own_fit) if model.own_fit else None,
+            optics_fit=OpticsFit(model.optics_limits) if model.optics_limits else None,
         )
 
     def _plan_small_patches(self, shape: Shape, threads: int) -> Likelihood:

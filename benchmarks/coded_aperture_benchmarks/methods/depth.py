@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import coded_aperture_ros
 from coded_aperture_benchmarks.run import PREDICTIONS
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import atomic_output
@@ -97,12 +98,14 @@ class StackBank:
 # A process works through its cells in order of what they need: few at a time are enough.
 @lru_cache(maxsize=2)
 def _learned(bank: CameraBank) -> FilterBank:
-    return learn_bank_for_camera(bank.camera, bank.near_m, bank.far_m, bank.levels, bank.config)
+    return with_optics_limits(
+        learn_bank_for_camera(bank.camera, bank.near_m, bank.far_m, bank.levels, bank.config)
+    )
 
 
 @lru_cache(maxsize=2)
 def _learned_from_stack(bank: StackBank) -> FilterBank:
-    return learn_bank(bank.stack, bank.config)
+    return with_optics_limits(learn_bank(bank.stack, bank.config))
 
 
 def bank_with_refinement(camera: Camera, ends_m: tuple[float, float], levels: int) -> CameraBank:

@@ -91,6 +91,7 @@ class HypothesisTest:
             own = own.with_others(beyond)
         elif beyond.psfs:
             others["beyond"] = PsfHypotheses.from_psfs(beyond.psfs)
+        self.levels = own
         self._sizes_px, self._own = own.sizes_px, PsfHypotheses.from_psfs(own.psfs)
         self._others = PsfHypotheses.concatenate(list(others.values()))
         ends = np.cumsum([group.weights.shape[1] for group in others.values()])
@@ -167,6 +168,16 @@ class HypothesisTest:
         ]
         half = WINDOW_PX // 2
         return Evidence(features, tops + half, lefts + half, size_px, weight, counted)
+
+    def alternatives(self, power: FloatArray) -> FloatArray:
+        """Least negative log-likelihood of each of `NAMES` for each window [n, len(NAMES)].
+
+        NaN where the bank has no such alternative.
+        """
+        missing = np.full(len(power), np.nan, np.float32)
+        each = negative_log_likelihood(power, self._others).min(axis=1)
+        tried = {name: each[:, group].min(axis=1) for name, group in self._groups.items()}
+        return np.stack([tried.get(name, missing) for name in NAMES], axis=-1)
 
     def _gains(self, power: FloatArray, least: FloatArray, near: PsfHypotheses) -> FloatArray:
         """Gain of each alternative over the bank for each window [n, len(NAMES)], hundredths.

@@ -9,6 +9,7 @@ import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import (
+    BoolArray,
     FloatArray,
     as_floats,
     constant,
@@ -20,6 +21,7 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.causes import CAUSE_TEXTS, CAUSES, DEPTH_MAP
 from coded_aperture_ros.depth.quality.depth_map import is_as_smooth_as_depth
 from coded_aperture_ros.depth.quality.evidence import FEWEST_WINDOWS, Evidence, HypothesisTest
+from coded_aperture_ros.depth.quality.optics_test import OpticsFit
 from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, share_of
 from coded_aperture_ros.optics import PsfStack
@@ -169,6 +171,8 @@ class FitCheck:
         Whether the PSFs are those of the middle of the image; then only windows there count.
     own_fit : OwnFit or None
         In place of the network's mean output, for PSFs that it was not fitted to.
+    optics_fit : OpticsFit or None
+        Of other optics beside what the networks have learned; None: they are not tried.
     """
 
     def __init__(
@@ -178,9 +182,11 @@ class FitCheck:
         guarded: bool = False,
         middle_only: bool = False,
         own_fit: Callable[[FloatArray], FloatArray] | None = None,
+        optics_fit: OpticsFit | None = None,
     ) -> None:
         self._stack, self._remembers, self._guarded = stack, remembers, guarded
         self._middle_only, self._own_fit = middle_only, own_fit
+        self._optics_fit = optics_fit
         self.reset()
 
     def reset(self) -> None:
@@ -188,6 +194,8 @@ class FitCheck:
         self._frames = 0
         self._outputs: FloatArray | None = None
         self._health: Health | None = None
+        # Grey image, noise and unusable pixels, as windows are taken from them.
+        self._seen: tuple[FloatArray, float, BoolArray | None]
 
     def __call__(
         self,
@@ -217,6 +225,8 @@ class FitCheck:
                 break
         if outputs is None:
             return self._health
+        if self._optics_fit is not None:
+            outputs = self._optics_fit(outputs, self._test, *self._seen)
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         health = _health_of(outputs)
@@ -244,8 +254,10 @@ class FitCheck:
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey = grey + constant(np.float32(_DITHER) * dither, grey)
             noise = float(np.hypot(noise, _DITHER))
+        part, unusable = self._part(grey.shape), observation.unusable
+        self._seen = grey[part], noise, None if unusable is None else unusable[part]
         sigma = known.sigma if known.highest is None else 0.0
-        given = {"grey": grey, "noise": noise, "known": sigma, "unusable": observation.unusable}
+        given = {"grey": grey, "noise": noise, "known": sigma, "unusable": unusable}
         given |= {"misfit": misfit, "usable": observation.usable}
         given |= {"level": level, "confidence": confidence}
         find: Any = self.numbers if isinstance(grey, np.ndarray) else self.on_device
@@ -260,7 +272,7 @@ class FitCheck:
         None if too few have texture, where that is seen.
         """
         grey, noise, unusable = (given[name] for name in ("grey", "noise", "unusable"))
-        part = middle_part(grey.shape) if self._middle_only else np.s_[0:, 0:]
+        part = self._part(grey.shape)
         top, left = (side.start for side in part)
         inner = None if unusable is None else unusable[part]
         windows = self._test.score(grey[part], noise, inner, cells)
@@ -273,6 +285,9 @@ class FitCheck:
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / np.prod(grey.shape))))
         features = *windows.features, *given["statistics"], *self._map_features(windows, given)
         return [windows.counted.sum(), *features, smaller]
+
+    def _part(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
+        return middle_part(shape) if self._middle_only else np.s_[0:, 0:]
 
     def _map_features(self, windows: Evidence, given: Mapping[str, Any]) -> list[Any]:
         """Features of misfit, confidence and agreement of the map with single windows."""

@@ -27,9 +27,9 @@ _HIGHEST_FREQUENCY = 0.5
 # Coarser than in a bank: many PSFs are tried, and the same textures with all of them.
 SLOPES = (2.0, 2.8)
 _CONTRASTS = 10.0 ** np.arange(6)
-_OWN_NOISE = 0.02
+OWN_NOISE = 0.02
 # Texture is rendered four windows wide; its spectrum is spread by the window's over so many bins.
-_PERIOD = 4 * WINDOW_PX
+PERIOD = 4 * WINDOW_PX
 _REACH = 10
 
 
@@ -91,9 +91,13 @@ class PsfHypotheses:
     @classmethod
     def from_psfs(cls, psfs: Sequence[FloatArray]) -> "PsfHypotheses":
         """Hypotheses of P PSFs."""
+        return cls.from_power(np.concatenate([_expected_power(psf) for psf in psfs]))
+
+    @classmethod
+    def from_power(cls, expected: DoubleArray, noise: DoubleArray | float = 1) -> "PsfHypotheses":
+        """Hypotheses of expected power [P * slopes, K] beside that of the noise [K]."""
         share = frequencies().share
-        expected = np.concatenate([_expected_power(psf) for psf in psfs])
-        power = _CONTRASTS[:, None, None] * expected + 1
+        power = _CONTRASTS[:, None, None] * expected + noise
         weights = (share / power).astype(np.float32)
         return cls(weights, (np.log(power) @ share).astype(np.float32))
 
@@ -132,42 +136,43 @@ def negative_log_likelihood(power: FloatArray, hypotheses: PsfHypotheses) -> Flo
     noise.
     """
     explained = power @ hypotheses.weights.swapaxes(1, 2)
-    explained += _OWN_NOISE
+    explained += OWN_NOISE
     namespace(power).log(explained, out=explained)
     explained += hypotheses.log_determinants[:, None]
     return explained.swapaxes(0, 1)
 
 
 def _expected_power(psf: FloatArray) -> DoubleArray:
-    """Expected power of windows with texture of each slope [slopes, K].
+    """Expected power of windows with texture of each slope [slopes, K]."""
+    gain = np.abs(scipy.fft.rfft2(psf.astype(np.float64), (PERIOD, PERIOD))) ** 2
+    return np.array([window_power(texture * gain) for texture in _textures()])
+
+
+def window_power(right: DoubleArray) -> DoubleArray:
+    """Expected power of windows [K] of a picture with a power spectrum.
 
     As `WindowedFourierBasis.expected_power` does, but the window's narrow spectrum is convolved
     with, which is a few times as fast and 0.2 % off.
     """
     kernel, margin = _window_spectrum(), _REACH + 2
-    gain = np.abs(scipy.fft.rfft2(psf.astype(np.float64), (_PERIOD, _PERIOD))) ** 2
-    found = []
-    for texture in _textures():
-        right = texture * gain
-        # The left half of a spectrum is the right one turned around.
-        turned = np.roll(right[::-1], 1, axis=0)
-        whole = np.hstack([turned[:, margin:0:-1], right, turned[:, -2 : -margin - 2 : -1]])
-        whole = np.vstack([whole[-margin:], whole, whole[:margin]])
-        spread = cv2.sepFilter2D(whole, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
-        inner = spread[margin:-margin:4, margin : margin + _PERIOD // 2 + 1 : 4]
-        found.append(np.maximum(inner[frequencies().used], 0))
-    return np.array(found)
+    # The left half of a spectrum is the right one turned around.
+    turned = np.roll(right[::-1], 1, axis=0)
+    whole = np.hstack([turned[:, margin:0:-1], right, turned[:, -2 : -margin - 2 : -1]])
+    whole = np.vstack([whole[-margin:], whole, whole[:margin]])
+    spread = cv2.sepFilter2D(whole, -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
+    inner = spread[margin:-margin:4, margin : margin + PERIOD // 2 + 1 : 4]
+    return np.maximum(inner[frequencies().used], 0)
 
 
 @lru_cache(maxsize=1)
 def _textures() -> list[DoubleArray]:
-    return [power_spectrum(slope, (_PERIOD, _PERIOD)) for slope in SLOPES]
+    return [power_spectrum(slope, (PERIOD, PERIOD)) for slope in SLOPES]
 
 
 @lru_cache(maxsize=1)
 def _window_spectrum() -> DoubleArray:
     window = WindowedFourierBasis(WINDOW_PX).window.astype(np.float64)
-    spectrum = np.abs(scipy.fft.fft(window, _PERIOD)) ** 2 / _PERIOD
+    spectrum = np.abs(scipy.fft.fft(window, PERIOD)) ** 2 / PERIOD
     return np.roll(spectrum, _REACH)[: 2 * _REACH + 1]
 
 

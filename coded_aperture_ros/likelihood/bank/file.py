@@ -41,7 +41,8 @@ NEWER: dict[str, tuple[Callable[[Any], Any], Any]] = {
     "image_height": (int, 0),
     "setting_digest": (str, ""),
     **dict.fromkeys(
-        ("reliability", "own_fit"), (lambda values: tuple(np.asarray(values).tolist()), ())
+        ("reliability", "own_fit", "optics_limits"),
+        (lambda values: tuple(np.asarray(values).tolist()), ()),
     ),
 }
 PATTERN: dict[str, Callable[[Any], Any]] = {

@@ -93,6 +93,9 @@ class FilterBank:
     own_fit : tuple of float
         Coefficients that make the health of frames right for this bank (`OwnFit`); empty
         for masks, for which it is right as it is.
+    optics_limits : tuple of float
+        Of how much better other optics may explain frames that fit (`OpticsTest`); empty where they
+        were not measured.
     channels : tuple of FilterBank
         Banks of the colour channels, where their PSFs differ; else empty.
     guard_levels : int
@@ -138,6 +141,7 @@ class FilterBank:
     setting_digest: str = ""
     reliability: tuple[float, ...] = ()
     own_fit: tuple[float, ...] = ()
+    optics_limits: tuple[float, ...] = ()
     channels: tuple["FilterBank", ...] = ()
     guard_levels: int = 0
     pattern: LearnedPattern | None = None
