@@ -10,7 +10,13 @@ from textures import natural_texture
 from coded_aperture_ros.calibration.psf import optics_limits
 from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.quality import HypothesisTest, OpticsFit, OpticsTest, fitted_limits
+from coded_aperture_ros.depth.quality import (
+    HypothesisTest,
+    OpticsFit,
+    OpticsTest,
+    fitted_limits,
+    optics_test,
+)
 from coded_aperture_ros.depth.quality.optics_test import surprise
 from coded_aperture_ros.depth.quality.spectra import NAMES
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, load_bank, save_bank
@@ -78,9 +84,13 @@ def test_health_falls_with_the_surprise_alone(bank, ring):
         np.testing.assert_array_equal(lowered[1:], sure[1:])
         assert fit(unfit, hypotheses, evidence) is unfit
     assert fit(sure, hypotheses, None) is sure
+    surer = np.array([3.9, 0.0, 1.0], np.float32)
+    assert fit(surer, hypotheses, evidence) is surer  # it would stay trusted
 
 
-def test_the_estimator_heeds_the_limits_of_its_bank(bank):
+def test_the_estimator_heeds_the_limits_of_its_bank(bank, monkeypatch):
+    monkeypatch.setattr(optics_test, "_SURE", np.inf)  # the networks are very sure here
+
     def health(limits):
         model = dataclasses.replace(bank, optics_limits=limits)
         estimator = DepthEstimator(model, DepthConfig(confidence_threshold=0.0))
