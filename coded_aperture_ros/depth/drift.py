@@ -16,8 +16,13 @@ import numpy as np
 
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.depth.estimate import DepthEstimate
-from coded_aperture_ros.depth.quality.health import middle_part
-from coded_aperture_ros.depth.quality.mask_test import PARTS, TURNS_DEG, MaskLook, MaskTest
+from coded_aperture_ros.depth.quality.mask_test import (
+    PARTS,
+    TURNS_DEG,
+    MaskLook,
+    MaskTest,
+    middle_part,
+)
 from coded_aperture_ros.frames import Frame, grey_image
 from coded_aperture_ros.frames.noise import NOISE_FLOOR
 from coded_aperture_ros.optics import PsfStack

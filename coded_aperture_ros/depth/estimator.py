@@ -237,13 +237,14 @@ class DepthEstimator:
         config, model = self.config, self.model
         if not config.check_fit or not isinstance(model, FilterBank) or unchecked_note(model):
             return None
+        limits, middle_only = model.optics_limits, model.field is not None
         return FitCheck(
             model.stack,
             remembers=config.temporal_frames > 0,
             guarded=model.guard_levels > 0,
-            middle_only=model.field is not None,
+            middle_only=middle_only,
             own_fit=OwnFit(model.own_fit) if model.own_fit else None,
-            optics_fit=OpticsFit(model.optics_limits) if model.optics_limits else None,
+            optics_fit=OpticsFit(limits, middle_only) if limits else None,
         )
 
     def _plan_small_patches(self, shape: Shape, threads: int) -> Likelihood:

@@ -38,9 +38,8 @@ def recorded(light):
 
 
 def surprise_of(bank, frame):
-    hypotheses = HypothesisTest(bank.stack)
-    evidence = hypotheses.score(frame, NOISE, None, 5)
-    return surprise(OpticsTest(hypotheses).gains(evidence), bank.optics_limits)
+    gains = OpticsTest(HypothesisTest(bank.stack)).gains(frame, NOISE, None)
+    return surprise(gains, bank.optics_limits)
 
 
 def seen_through(mask, size_px, seed=1):
@@ -78,14 +77,15 @@ def test_health_falls_with_the_surprise_alone(bank, ring):
     unfit = np.array([-1.0, 0.0, 1.0], np.float32)
     hypotheses, fit = HypothesisTest(bank.stack), OpticsFit(bank.optics_limits)
     for mask, low, high in ((Mask.named("levin"), 0.0, 0.5), (ring, 2.5, 3.01)):
-        evidence = hypotheses.score(seen_through(mask, 6.3), NOISE, None, 5)
-        lowered = fit(sure, hypotheses, evidence)
+        frame = {"grey": seen_through(mask, 6.3), "noise": NOISE, "unusable": None}
+        lowered = fit(sure, hypotheses, frame)
         assert low <= sure[0] - lowered[0] < high
         np.testing.assert_array_equal(lowered[1:], sure[1:])
-        assert fit(unfit, hypotheses, evidence) is unfit
-    assert fit(sure, hypotheses, None) is sure
+        assert fit(unfit, hypotheses, frame) is unfit
+    plain = np.full((96, 96), 0.4, np.float32)
+    assert fit(sure, hypotheses, frame | {"grey": plain}) is sure
     surer = np.array([3.9, 0.0, 1.0], np.float32)
-    assert fit(surer, hypotheses, evidence) is surer  # it would stay trusted
+    assert fit(surer, hypotheses, frame) is surer  # it would stay trusted
 
 
 def test_the_estimator_heeds_the_limits_of_its_bank(bank, monkeypatch):

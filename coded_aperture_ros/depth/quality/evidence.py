@@ -93,10 +93,10 @@ class HypothesisTest:
             others["beyond"] = PsfHypotheses.from_psfs(beyond.psfs)
         self.levels = own
         self._sizes_px, self._own = own.sizes_px, PsfHypotheses.from_psfs(own.psfs)
-        self._others = PsfHypotheses.concatenate(list(others.values()))
+        self.others = PsfHypotheses.concatenate(list(others.values()))
         ends = np.cumsum([group.weights.shape[1] for group in others.values()])
         starts = [0, *ends[:-1]]
-        self._groups = dict(zip(others, map(slice, starts, ends), strict=True))
+        self.groups = dict(zip(others, map(slice, starts, ends), strict=True))
 
     def score(
         self, grey: FloatArray, noise: float, unusable: BoolArray | None, cells: int = 10
@@ -126,7 +126,7 @@ class HypothesisTest:
         least = xp.amin(scores, 1)
         # Those that do not count must not widen the range.
         lowest = xp.amin(xp.where(counted, contrast, len(own.weights)))
-        near = self._others.near_contrasts(lowest, xp.amax(contrast * counted))
+        near = self.others.near_contrasts(lowest, xp.amax(contrast * counted))
         better = self._gains(power, least, near)
         # Residual of the best hypothesis: 1 on the mean, and scattered like the power of noise.
         share = constant(frequencies().share, grey)
@@ -169,16 +169,6 @@ class HypothesisTest:
         half = WINDOW_PX // 2
         return Evidence(features, tops + half, lefts + half, size_px, weight, counted)
 
-    def alternatives(self, power: FloatArray) -> FloatArray:
-        """Least negative log-likelihood of each of `NAMES` for each window [n, len(NAMES)].
-
-        NaN where the bank has no such alternative.
-        """
-        missing = np.full(len(power), np.nan, np.float32)
-        each = negative_log_likelihood(power, self._others).min(axis=1)
-        tried = {name: each[:, group].min(axis=1) for name, group in self._groups.items()}
-        return np.stack([tried.get(name, missing) for name in NAMES], axis=-1)
-
     def _gains(self, power: FloatArray, least: FloatArray, near: PsfHypotheses) -> FloatArray:
         """Gain of each alternative over the bank for each window [n, len(NAMES)], hundredths.
 
@@ -188,7 +178,7 @@ class HypothesisTest:
         xp = namespace(power)
         each = xp.amin(negative_log_likelihood(power, near), 1)
         tried = {
-            name: 100 * (least - xp.amin(each[:, group], 1)) for name, group in self._groups.items()
+            name: 100 * (least - xp.amin(each[:, group], 1)) for name, group in self.groups.items()
         }
         missing = xp.full_like(least, _MISSING_GAIN)
         return xp.stack([tried.get(name, missing) for name in NAMES], -1)

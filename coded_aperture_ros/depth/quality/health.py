@@ -9,7 +9,6 @@ import numpy as np
 
 from coded_aperture_ros.core.archive import read_shipped
 from coded_aperture_ros.core.arrays import (
-    BoolArray,
     FloatArray,
     as_floats,
     constant,
@@ -21,6 +20,7 @@ from coded_aperture_ros.depth.observation import Observation
 from coded_aperture_ros.depth.quality.causes import CAUSE_TEXTS, CAUSES, DEPTH_MAP
 from coded_aperture_ros.depth.quality.depth_map import is_as_smooth_as_depth
 from coded_aperture_ros.depth.quality.evidence import FEWEST_WINDOWS, Evidence, HypothesisTest
+from coded_aperture_ros.depth.quality.mask_test import middle_part
 from coded_aperture_ros.depth.quality.optics_test import OpticsFit
 from coded_aperture_ros.depth.quality.spectra import equivalent_sizes_px
 from coded_aperture_ros.depth.quality.statistics import frame_statistics, share_of
@@ -57,8 +57,6 @@ _FAR_PX = 1.5
 _CONFIDENT = 0.55
 # Every third row and column of the confidence is enough for its mean.
 _SPARSE = 3
-# Margin on every side that is left out with `middle_only`, as a share of the frame.
-_MARGIN_SHARE = 0.3
 # Most windows along a side in the first pass, which is enough where confidence is not lowered, and
 # in the second.
 _CELLS = 5, 10
@@ -149,12 +147,6 @@ def unchecked_reason(stack: PsfStack) -> str:
     return ""
 
 
-def middle_part(shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Part of a frame for which PSFs of the middle of the image hold."""
-    top, left = (int(_MARGIN_SHARE * length) for length in shape[:2])
-    return slice(top, shape[0] - top), slice(left, shape[1] - left)
-
-
 class FitCheck:
     """Checks the frames of a video, or single ones, against a bank's PSFs.
 
@@ -194,8 +186,6 @@ class FitCheck:
         self._frames = 0
         self._outputs: FloatArray | None = None
         self._health: Health | None = None
-        # Grey image, noise and unusable pixels, as windows are taken from them.
-        self._seen: tuple[FloatArray, float, BoolArray | None]
 
     def __call__(
         self,
@@ -226,7 +216,7 @@ class FitCheck:
         if outputs is None:
             return self._health
         if self._optics_fit is not None:
-            outputs = self._optics_fit(outputs, self._test, *self._seen)
+            outputs = self._optics_fit(outputs, self._test, self._given)
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         health = _health_of(outputs)
@@ -254,12 +244,10 @@ class FitCheck:
             dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
             grey = grey + constant(np.float32(_DITHER) * dither, grey)
             noise = float(np.hypot(noise, _DITHER))
-        part, unusable = self._part(grey.shape), observation.unusable
-        self._seen = grey[part], noise, None if unusable is None else unusable[part]
         sigma = known.sigma if known.highest is None else 0.0
-        given = {"grey": grey, "noise": noise, "known": sigma, "unusable": unusable}
-        given |= {"misfit": misfit, "usable": observation.usable}
-        given |= {"level": level, "confidence": confidence}
+        self._given = given = {"grey": grey, "noise": noise, "known": sigma}
+        given |= {"unusable": observation.unusable, "usable": observation.usable}
+        given |= {"misfit": misfit, "level": level, "confidence": confidence}
         find: Any = self.numbers if isinstance(grey, np.ndarray) else self.on_device
         for cells in _CELLS:
             count, *numbers = find(cells, given) or [0]
@@ -272,7 +260,7 @@ class FitCheck:
         None if too few have texture, where that is seen.
         """
         grey, noise, unusable = (given[name] for name in ("grey", "noise", "unusable"))
-        part = self._part(grey.shape)
+        part = middle_part(grey.shape) if self._middle_only else np.s_[0:, 0:]
         top, left = (side.start for side in part)
         inner = None if unusable is None else unusable[part]
         windows = self._test.score(grey[part], noise, inner, cells)
@@ -285,9 +273,6 @@ class FitCheck:
         smaller = max(0.0, float(np.log(_USUAL_PIXELS / np.prod(grey.shape))))
         features = *windows.features, *given["statistics"], *self._map_features(windows, given)
         return [windows.counted.sum(), *features, smaller]
-
-    def _part(self, shape: tuple[int, ...]) -> tuple[slice, slice]:
-        return middle_part(shape) if self._middle_only else np.s_[0:, 0:]
 
     def _map_features(self, windows: Evidence, given: Mapping[str, Any]) -> list[Any]:
         """Features of misfit, confidence and agreement of the map with single windows."""

@@ -28,6 +28,8 @@ TURNS_DEG = (-12.0, -8.0, -4.0, 4.0, 8.0, 12.0)
 PARTS = 3
 # Least share of the light that the rest has to pass.
 _LEAST_REST = 0.2
+# Margin on every side that is left out with `middle_only`, as a share of the frame.
+_MARGIN_SHARE = 0.3
 _FEWEST_WINDOWS = 4
 # Most windows along a side of the frame.
 _CELLS = 5
@@ -110,6 +112,12 @@ class MaskTest:
         gains = np.clip(100 * (least[:, None] - best), -_MOST_GAIN, _MOST_GAIN)
         residual = least - self._own.log_determinants[contrast, kind]
         return MaskLook(gains.mean(axis=0, dtype=np.float64), float(residual.mean()))
+
+
+def middle_part(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Part of a frame for which PSFs of the middle of the image hold."""
+    top, left = (int(_MARGIN_SHARE * length) for length in shape[:2])
+    return slice(top, shape[0] - top), slice(left, shape[1] - left)
 
 
 def _changes(own: PsfLevels) -> dict[str, list[FloatArray]]:

@@ -6,8 +6,9 @@ say. Texture with directions is allowed for, as text and buildings have it. How 
 texture are from that is measured with simulated frames, for each mask.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -19,7 +20,9 @@ from coded_aperture_ros.depth.quality.evidence import (
     cut_windows,
     windows_of_cells,
 )
+from coded_aperture_ros.depth.quality.mask_test import middle_part
 from coded_aperture_ros.depth.quality.spectra import (
+    NAMES,
     OWN_NOISE,
     PERIOD,
     SLOPES,
@@ -82,7 +85,7 @@ class OpticsTest:
         each = [_hypotheses(some, plain, response) for response in _responses()]
         self._own, self._filtered = own, PsfHypotheses.concatenate(each)
         self._filters = len(each)
-        self._expected = self._gains_of_expected(test)
+        self._expected = self._gains_of_expected()
 
     def gains(
         self, grey: FloatArray, noise: float, unusable: BoolArray | None
@@ -102,21 +105,29 @@ class OpticsTest:
         best = flat.argmin(axis=1)
         contrast = best // scores.shape[2]
         filtered = self._filtered.near_contrasts(contrast.min(), contrast.max())
-        found = np.hstack([self._hypotheses.alternatives(power), self._least(power, filtered)])
+        found = np.hstack([self._alternatives(power), self._least(power, filtered)])
         gain = _limited(flat[np.arange(len(power)), best][:, None] - found)
         texture = np.log10(np.maximum(power @ frequencies().share, 1.0))
         weight = np.clip(texture - 0.15, 0.02, 1.5)
         return np.asarray(weight @ (gain - self._expected[best]) / weight.sum())
 
+    def _alternatives(self, power: FloatArray) -> FloatArray:
+        """Least negative log-likelihood of each of `NAMES`; NaN where the bank has none."""
+        missing = np.full(len(power), np.nan, np.float32)
+        each = negative_log_likelihood(power, self._hypotheses.others).min(axis=1)
+        groups = self._hypotheses.groups
+        tried = {name: each[:, group].min(axis=1) for name, group in groups.items()}
+        return np.stack([tried.get(name, missing) for name in NAMES], axis=-1)
+
     def _least(self, power: FloatArray, filtered: PsfHypotheses) -> FloatArray:
         each = negative_log_likelihood(power, filtered).min(axis=1)
         return np.asarray(each.reshape(len(power), self._filters, -1).min(axis=2))
 
-    def _gains_of_expected(self, test: HypothesisTest) -> FloatArray:
+    def _gains_of_expected(self) -> FloatArray:
         """Gains [own hypotheses, alternatives] where a window is as the hypothesis expects it."""
         power = frequencies().share / self._own.weights.reshape(-1, self._own.weights.shape[-1])
         least = self._own.log_determinants.reshape(-1) + np.log1p(OWN_NOISE)
-        found = np.hstack([test.alternatives(power), self._least(power, self._filtered)])
+        found = np.hstack([self._alternatives(power), self._least(power, self._filtered)])
         return _limited(least[:, None] - found)
 
 
@@ -127,26 +138,34 @@ class OpticsFit:
     ----------
     limits : tuple of float
         See `fitted_limits`.
+    middle_only : bool
+        Whether only windows in the middle of the frame count; see `FitCheck`.
     """
 
-    def __init__(self, limits: tuple[float, ...]) -> None:
-        self._limits = limits
+    def __init__(self, limits: tuple[float, ...], middle_only: bool = False) -> None:
+        self._limits, self._middle_only = limits, middle_only
         self._test: OpticsTest | None = None
 
     def __call__(
-        self,
-        outputs: FloatArray,
-        test: HypothesisTest,
-        grey: FloatArray,
-        noise: float,
-        unusable: BoolArray | None,
+        self, outputs: FloatArray, test: HypothesisTest, given: Mapping[str, Any]
     ) -> FloatArray:
-        """Logits of health, then of the causes; see `outputs_of` and `HypothesisTest.score`."""
+        """Logits of health, then of the causes; see `outputs_of`.
+
+        Parameters
+        ----------
+        outputs : ndarray, float32 [n]
+            Of the networks.
+        test : HypothesisTest
+        given : mapping
+            `grey`, `noise` and `unusable` of `HypothesisTest.score`; of NumPy or on a device.
+        """
         if not 0 <= outputs[0] < _SURE:
             return outputs
         self._test = self._test or OpticsTest(test)
-        known = None if unusable is None else in_memory(unusable)
-        gains = self._test.gains(in_memory(grey), noise, known)
+        grey, noise, unusable = (given[name] for name in ("grey", "noise", "unusable"))
+        part = middle_part(grey.shape) if self._middle_only else np.s_[0:, 0:]
+        inner = None if unusable is None else in_memory(unusable[part])
+        gains = self._test.gains(in_memory(grey[part]), noise, inner)
         if gains is None:
             return outputs
         above = surprise(gains, self._limits)
