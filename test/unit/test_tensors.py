@@ -127,12 +127,13 @@ def test_functions_mean_what_those_of_numpy_do(torch, computed, rows):
 
 
 @pytest.mark.parametrize("size", [10, 2**17])
-def test_constants_are_copied_once_and_large_ones_kept_while_they_exist(torch, size):
+def test_equal_constants_are_copied_once_and_large_ones_known_while_they_exist(torch, size):
     from coded_aperture_ros.core.tensors import constants
 
     device, values = torch.device("cpu"), np.arange(size, dtype=np.float32)
     first = constants.kept_on_device(values, device)
     assert constants.kept_on_device(values, device) is first
+    assert constants.kept_on_device(values.copy(), device) is first
     np.testing.assert_array_equal(first.numpy(), values)
     kept = len(constants._large)
     values = values + 1

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 # Constants of a few frame sizes; one is at most a matrix of an axis, some MB.
 _KEPT = 1024
-# Arrays of so many bytes are known by themselves, as long as they exist: to compare a map of a
-# frame would take a millisecond.
+# Arrays of so many bytes are known by themselves, too, as long as they exist: to compare the bytes
+# of a map of a frame would take a millisecond.
 _LARGE = 2**18
 _large: dict[tuple[int, torch.device], tuple[weakref.ref[Any], torch.Tensor]] = {}
 
@@ -21,12 +21,12 @@ def kept_on_device(values: NDArray[Any], device: torch.device) -> torch.Tensor:
 
     A copy from the processor's memory makes a GPU wait, and cannot be recorded.
     """
-    if values.nbytes < _LARGE:
-        return _copied(values.tobytes(), values.shape, values.dtype.str, device)
     key = id(values), device
-    array, tensor = _large.get(key, (None, None))
-    if array is None or tensor is None or array() is not values:
-        tensor = torch.tensor(np.ascontiguousarray(values), device=device)
+    array, known = _large.get(key, (None, None))
+    if array is not None and known is not None and array() is values:
+        return known
+    tensor = _copied(values.tobytes(), values.shape, values.dtype.str, device)
+    if values.nbytes >= _LARGE:
         _large[key] = weakref.ref(values, lambda _: _large.pop(key, None)), tensor
     return tensor
 
