@@ -88,6 +88,19 @@ def test_health_falls_with_the_surprise_alone(bank, ring):
     assert fit(surer, hypotheses, frame) is surer  # it would stay trusted
 
 
+@pytest.mark.parametrize("middle_only", [False, True])
+def test_frames_on_a_device_are_looked_at_in_memory(bank, middle_only):
+    torch = pytest.importorskip("torch", reason="needs PyTorch")
+    hypotheses = HypothesisTest(bank.stack)
+    sure = np.array([2.0, 0.0, 1.0], np.float32)
+    given = {"grey": seen_through(Mask.named("disc"), 9.0), "unusable": np.zeros((288, 320), bool)}
+    tensors = {name: torch.from_numpy(array) for name, array in given.items()}
+    fit = OpticsFit(bank.optics_limits, middle_only)
+    found = [fit(sure, hypotheses, each | {"noise": NOISE}) for each in (given, tensors)]
+    assert found[0][0] == -1
+    np.testing.assert_array_equal(*found)
+
+
 def test_the_estimator_heeds_the_limits_of_its_bank(bank, monkeypatch):
     monkeypatch.setattr(optics_test, "_SURE", np.inf)  # the networks are very sure here
 
