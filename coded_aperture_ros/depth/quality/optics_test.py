@@ -104,17 +104,21 @@ class OpticsTest:
         flat = scores.reshape(len(power), -1)
         best = flat.argmin(axis=1)
         contrast = best // scores.shape[2]
-        filtered = self._filtered.near_contrasts(contrast.min(), contrast.max())
-        found = np.hstack([self._alternatives(power), self._least(power, filtered)])
+        # Contrasts near those that explain the windows are enough.
+        others, filtered = (
+            each.near_contrasts(contrast.min(), contrast.max())
+            for each in (self._hypotheses.others, self._filtered)
+        )
+        found = np.hstack([self._alternatives(power, others), self._least(power, filtered)])
         gain = _limited(flat[np.arange(len(power)), best][:, None] - found)
         texture = np.log10(np.maximum(power @ frequencies().share, 1.0))
         weight = np.clip(texture - 0.15, 0.02, 1.5)
         return np.asarray(weight @ (gain - self._expected[best]) / weight.sum())
 
-    def _alternatives(self, power: FloatArray) -> FloatArray:
+    def _alternatives(self, power: FloatArray, others: PsfHypotheses) -> FloatArray:
         """Least negative log-likelihood of each of `NAMES`; NaN where the bank has none."""
         missing = np.full(len(power), np.nan, np.float32)
-        each = negative_log_likelihood(power, self._hypotheses.others).min(axis=1)
+        each = negative_log_likelihood(power, others).min(axis=1)
         groups = self._hypotheses.groups
         tried = {name: each[:, group].min(axis=1) for name, group in groups.items()}
         return np.stack([tried.get(name, missing) for name in NAMES], axis=-1)
@@ -127,7 +131,8 @@ class OpticsTest:
         """Gains [own hypotheses, alternatives] where a window is as the hypothesis expects it."""
         power = frequencies().share / self._own.weights.reshape(-1, self._own.weights.shape[-1])
         least = self._own.log_determinants.reshape(-1) + np.log1p(OWN_NOISE)
-        found = np.hstack([self._alternatives(power), self._least(power, self._filtered)])
+        others = self._alternatives(power, self._hypotheses.others)
+        found = np.hstack([others, self._least(power, self._filtered)])
         return _limited(least[:, None] - found)
 
 
