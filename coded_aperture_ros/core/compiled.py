@@ -4,6 +4,7 @@ import contextlib
 import logging
 import threading
 from collections.abc import Callable
+from numbers import Number
 from typing import Any
 
 _COMPILING = threading.Lock()
@@ -70,6 +71,7 @@ class Compiled:
                 # Errors of division would keep loops from vector instructions.
                 options = {"cache": cache, "nogil": True, "error_model": "numpy"}
                 compiled = self._made(njit(**options, fastmath=self._finite))
+                _mark_constants(compiled, self.loop)
                 compiled(*arrays)  # compiles it first: a failure leaves the arrays as they are
                 return compiled
             except Exception as error:
@@ -84,3 +86,15 @@ class Compiled:
     def _made(self, compiles: Callable[..., Any]) -> Callable[..., None]:
         """Loop that is compiled when it is called."""
         return compiles(self.loop)
+
+
+def _mark_constants(compiled: Any, loop: Callable[..., None]) -> None:
+    """Have the stored code of a loop compiled anew where a constant that it names has changed.
+
+    numba looks at the loop's own file only, and constants may be imported from another one.
+    """
+    names = {name: loop.__globals__.get(name) for name in loop.__code__.co_names}
+    constants = {name: repr(value) for name, value in names.items() if isinstance(value, Number)}
+    with contextlib.suppress(AttributeError):  # numba has no way to say so: this is its own
+        stored = compiled._cache._cache_file
+        stored._source_stamp = (stored._source_stamp, sorted(constants.items()))

@@ -1,5 +1,7 @@
 """Loops that numba compiles, against what NumPy does without it."""
 
+import os
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
@@ -112,6 +114,34 @@ def test_without_numba_numpy_does_it(monkeypatch):
     called = []
     Compiled(lambda: called.append("loop"), lambda: called.append("plain"))()
     assert called == ["plain"]
+
+
+LOOPS = """
+from constants import SHARE
+from coded_aperture_ros.core.compiled import Compiled
+def loop(values):
+    for index in range(values.size):
+        values[index] = SHARE
+compiled = Compiled(loop, loop)
+"""
+ASK = "import numpy, loops; values = numpy.zeros(1); loops.compiled(values); print(values[0])"
+
+
+def test_stored_code_follows_constants_of_other_files(tmp_path):
+    pytest.importorskip("numba")
+    (tmp_path / "loops.py").write_text(LOOPS)
+    for share in ("0.25", "0.75", "0.75"):
+        (tmp_path / "constants.py").write_text(f"import numpy\nSHARE = numpy.float32({share})")
+        paths = os.pathsep.join([str(tmp_path), *sys.path])
+        said = subprocess.run(
+            [sys.executable, "-B", "-c", ASK],
+            env={**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(tmp_path / "cache")},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        assert said.stdout.strip() == share
+    assert len(list((tmp_path / "cache").rglob("*.nbi"))) == 1  # it was stored
 
 
 class Numba:
