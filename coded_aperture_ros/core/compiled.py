@@ -93,8 +93,8 @@ def _mark_constants(compiled: Any, loop: Callable[..., None]) -> None:
 
     numba looks at the loop's own file only, and constants may be imported from another one.
     """
-    names = {name: loop.__globals__.get(name) for name in loop.__code__.co_names}
-    constants = {name: repr(value) for name, value in names.items() if isinstance(value, Number)}
+    named = sorted((name, loop.__globals__.get(name)) for name in set(loop.__code__.co_names))
+    constants = [(name, repr(value)) for name, value in named if isinstance(value, Number)]
     with contextlib.suppress(AttributeError):  # numba has no way to say so: this is its own
         stored = compiled._cache._cache_file
-        stored._source_stamp = (stored._source_stamp, sorted(constants.items()))
+        stored._source_stamp = (stored._source_stamp, constants)

@@ -79,11 +79,6 @@ class NumpyEngine:
         self._workers.each(self._sliding.slide_down, self._sliding.frequencies)
         self._workers.each(self._project, range(0, self._precision.size, _PROJECTED))
 
-    def take_products(self, products: FloatArray) -> None:
-        """Take a frame as the products of transforms [patches, (2 V + U) H]; see `Plan`."""
-        functions = self._functions.reshape(len(self._functions), -1)
-        np.matmul(self.plan.features, products.T, out=functions)
-
     def energies(self, noise: PerPatch) -> FloatArray:
         """Energies of the last projected frame [rows, columns, L]; see `Engine`."""
         plan = self.plan

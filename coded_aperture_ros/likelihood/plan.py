@@ -173,7 +173,7 @@ class Plan:
         cosines, sines = np.cos(angle) * bank.window, np.sin(angle) * bank.window
         pairs = slice(1, paired + 1)
 
-        features = _functions_of_products(functions, n, columns, paired, unpaired)
+        features = functions_of_products(functions, n, columns, paired, unpaired)
         sizes = np.abs(features).max(axis=1).reshape(-1, columns)
         has_weight = sizes > _NEGLIGIBLE * sizes.max()
         horizontal_counts = (has_weight * np.arange(1, columns + 1)).max(axis=1)
@@ -204,11 +204,6 @@ class Plan:
             areas=tuple(areas),
         )
 
-    def with_all_products(self) -> "Plan":
-        """Plan whose engine computes all products of transforms, also those without a weight."""
-        counts = np.full_like(self.horizontal_counts, len(self.horizontal) // 2)
-        return dataclasses.replace(self, horizontal_counts=counts)
-
     def plausible_ratios(self, noise: PerPatch) -> slice:
         """Slice of the ratios that are compared under a noise (standard deviation)."""
         return plausible_ratios(self.ratios, self.contrasts, float(np.median(noise)))
@@ -222,20 +217,6 @@ class Plan:
     def sparse_step(self) -> int:
         """Of so many patches, along rows and columns, one has the levels that are not dense."""
         return max(_SPARSE_PX // self.grid.stride_px, 1)
-
-    def functions_of_products(self, functions: NDArray[np.floating]) -> NDArray[np.floating]:
-        """Linear functions of the products of transforms [(2 V + U) H, n]; see `features`.
-
-        Parameters
-        ----------
-        functions : ndarray [K, n]
-            Linear functions of power, in the order of ``scipy.fft.rfft2``.
-        """
-        columns, half = len(self.horizontal) // 2, self.grid.window_px // 2
-        unpaired = [0, half][: len(self.vertical) - 2 * self.paired]
-        return _functions_of_products(
-            functions, self.grid.window_px, columns, self.paired, unpaired
-        )
 
     def patch_groups(self, size: int) -> Iterator["PatchGroup"]:
         """Groups of at most `size` patches that share their hypotheses."""
@@ -281,10 +262,10 @@ def _bounds(inside: BoolArray) -> tuple[slice, slice]:
     return slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
 
 
-def _functions_of_products(
+def functions_of_products(
     functions: NDArray[np.floating], window_px: int, columns: int, paired: int, unpaired: list[int]
 ) -> NDArray[np.floating]:
-    """See `Plan.functions_of_products`."""
+    """Linear functions of power [K, n] as those of the products; see `Plan.features`."""
     count = functions.shape[1]
     functions = functions.reshape(window_px, window_px // 2 + 1, count)[:, :columns]
     positive = functions[1 : paired + 1]

@@ -1,5 +1,6 @@
 """Energies of pairs of motion and blur level: of all motions, or of expected ones."""
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,6 +24,15 @@ _EVERY_MOTION = 4
 _Task = tuple[Sequence[int], IndexArray]
 
 
+class _ProductsEngine(NumpyEngine):
+    """Engine of frames whose transforms another engine has computed."""
+
+    def take_products(self, products: FloatArray) -> None:
+        """Take a frame as the products of transforms [patches, (2 V + U) H]; see `Plan`."""
+        functions = self._functions.reshape(len(self._functions), -1)
+        np.matmul(self.plan.features, products.T, out=functions)
+
+
 class MotionEngine(NumpyEngine):
     """Energies of pairs of motion and level for frames of one size; an `Engine`.
 
@@ -42,7 +52,7 @@ class MotionEngine(NumpyEngine):
         finalists: int = 0,
     ) -> None:
         super().__init__(
-            Plan.for_frames(bank.product, shape, stride_px).with_all_products(), threads
+            _with_all_products(Plan.for_frames(bank.product, shape, stride_px)), threads
         )
         self._motion_bank = bank
         self._motions, self._levels = len(bank.motions), bank.defocus.levels
@@ -56,7 +66,8 @@ class MotionEngine(NumpyEngine):
         patches = self.grid.rows * self.grid.columns
         self._all_energies = np.empty((self._motions, self._levels, patches), np.float32)
         # The bank of defocus has contrasts in smaller steps, which no motion is compared under.
-        self._defocus_engine = NumpyEngine(Plan.for_frames(bank.defocus, shape, stride_px), threads)
+        defocus_plan = Plan.for_frames(bank.defocus, shape, stride_px)
+        self._defocus_engine = _ProductsEngine(defocus_plan, threads)
         self._static = np.hypot(*bank.motions.vectors_px.T) == 0
         self._finalists = finalists
         self._exact: ExactEnergies | None = None
@@ -207,3 +218,9 @@ class MotionEngine(NumpyEngine):
         functions = self._functions.reshape(len(self._functions), -1) * self._precision.ravel()
         constant = np.ones_like(functions[:1])
         return np.concatenate([functions[:-1], constant, functions[-1:] + MIN_NOISE_SHARE])
+
+
+def _with_all_products(plan: Plan) -> Plan:
+    """Plan whose engine computes all products of transforms, also those without a weight."""
+    counts = np.full_like(plan.horizontal_counts, len(plan.horizontal) // 2)
+    return dataclasses.replace(plan, horizontal_counts=counts)

@@ -7,6 +7,7 @@ other textures.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray, IndexArray
 from coded_aperture_ros.core.workers import Workers
@@ -14,7 +15,7 @@ from coded_aperture_ros.likelihood import take_logarithm
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.likelihood.motion.bank import MotionBank, expected_powers
 from coded_aperture_ros.likelihood.motion.kernels import Motions
-from coded_aperture_ros.likelihood.plan import Plan
+from coded_aperture_ros.likelihood.plan import Plan, functions_of_products
 from coded_aperture_ros.likelihood.scoring import MIN_EXCESS, MIN_NOISE_SHARE
 
 # The best few of each patch are compared under so many contrasts, around the most likely one.
@@ -173,7 +174,7 @@ class ExactEnergies:
         for index in np.ndindex(bank.expected.shape[:2]):
             variance = np.float32(product.ratios[ratio]) * bank.expected[index] + 1
             filters = multiplicity / variance * gains[index]
-            weights[index][:, :-1] = self._plan.functions_of_products(filters.T).T
+            weights[index][:, :-1] = _of_products(self._plan, filters.T).T
         weights[..., -1:] = MIN_NOISE_SHARE * gains
         return weights
 
@@ -247,8 +248,18 @@ def _energy(
     for ratio in ratios:
         variance = np.float32(ratio) * expected + 1
         gains = np.exp(np.log(variance) @ multiplicity / plan.count)[:, None]
-        weights = plan.functions_of_products((multiplicity / variance * gains).T)
+        weights = _of_products(plan, (multiplicity / variance * gains).T)
         excess = spectra[:, :-1] @ weights.astype(np.float32) + MIN_NOISE_SHARE * gains.T
         np.minimum(least, excess.min(axis=1), out=least)
     textureless = spectra @ np.append(plan.features[-1], MIN_NOISE_SHARE)
     return float(np.log(np.clip(least, MIN_EXCESS, textureless)).sum())
+
+
+def _of_products(plan: Plan, functions: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Linear functions of the products of transforms [(2 V + U) H, n]; see `Plan.features`.
+
+    `functions` [K, n] are those of power, in the order of ``scipy.fft.rfft2``.
+    """
+    columns, half = len(plan.horizontal) // 2, plan.grid.window_px // 2
+    unpaired = [0, half][: len(plan.vertical) - 2 * plan.paired]
+    return functions_of_products(functions, plan.grid.window_px, columns, plan.paired, unpaired)
