@@ -20,6 +20,7 @@ class Pose:
 
     Examples
     --------
+    >>> import numpy as np
     >>> Pose.of(np.eye(4)).covariance is None
     True
     """

@@ -58,8 +58,8 @@ _LARGEST = 5
 _DEVIATION = 0.2
 # How the logit of health falls with the surprise, from the surprise of fitting frames on, both in
 # units of their limit, and the most that it falls: what the networks are surer of fits.
-_SLOPE_OF_HEALTH = 2.5
-_EXPECTED = 0.5
+_SLOPE_OF_HEALTH = 4.0
+_EXPECTED = 1.0
 _MOST_LOWERED = 3.0
 # From this logit on nothing changes, as health stays above 0.7: half of the fitting frames.
 _SURE = _MOST_LOWERED + 0.85

@@ -269,9 +269,10 @@ def stated_covariance(values: Any) -> DoubleArray | None:
 
     Examples
     --------
+    >>> import numpy as np
     >>> stated_covariance([0.0] * 36) is None
     True
-    >>> stated_covariance(np.eye(6).ravel())[0, 0]
+    >>> float(stated_covariance(np.eye(6).ravel())[0, 0])
     1.0
     """
     covariance = np.array(values, np.float64).reshape(6, 6)
