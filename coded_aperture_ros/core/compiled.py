@@ -5,6 +5,8 @@ import logging
 import threading
 from collections.abc import Callable
 from numbers import Number
+from pathlib import Path
+from types import FunctionType
 from typing import Any
 
 _COMPILING = threading.Lock()
@@ -89,12 +91,19 @@ class Compiled:
 
 
 def _mark_constants(compiled: Any, loop: Callable[..., None]) -> None:
-    """Have the stored code of a loop compiled anew where a constant that it names has changed.
+    """Have the stored code of a loop compiled anew where something that it names has changed.
 
-    numba looks at the loop's own file only, and constants may be imported from another one.
+    numba looks at the loop's own file only; numbers and functions may be imported from another.
     """
-    named = sorted((name, loop.__globals__.get(name)) for name in set(loop.__code__.co_names))
-    constants = [(name, repr(value)) for name, value in named if isinstance(value, Number)]
-    with contextlib.suppress(AttributeError):  # numba has no way to say so: this is its own
-        stored = compiled._cache._cache_file
-        stored._source_stamp = (stored._source_stamp, constants)
+    # numba keeps this to itself: a version that has it elsewhere looks at the file only.
+    with contextlib.suppress(AttributeError, OSError):
+        stored, values = compiled._cache._cache_file, loop.__globals__
+        stamps = [(name, _stamp(values.get(name))) for name in sorted(loop.__code__.co_names)]
+        stored._source_stamp = (stored._source_stamp, stamps)
+
+
+def _stamp(value: Any) -> Any:
+    """What changes with a number, or with the file of a function; None for anything else."""
+    if isinstance(value, FunctionType):
+        return Path(value.__code__.co_filename).stat().st_mtime_ns
+    return repr(value) if isinstance(value, Number) else None

@@ -117,21 +117,33 @@ def test_without_numba_numpy_does_it(monkeypatch):
 
 
 LOOPS = """
+from types import FunctionType
 from constants import SHARE
+from functions import multiplied
 from coded_aperture_ros.core.compiled import Compiled
 def loop(values):
     for index in range(values.size):
-        values[index] = SHARE
-compiled = Compiled(loop, loop)
+        values[index] = multiplied(SHARE)
+class WithFunction(Compiled):
+    def _made(self, compiles):
+        functions = {"multiplied": compiles(multiplied)}
+        return compiles(FunctionType(loop.__code__, loop.__globals__ | functions))
+compiled = WithFunction(loop, loop)
 """
 ASK = "import numpy, loops; values = numpy.zeros(1); loops.compiled(values); print(values[0])"
 
 
-def test_stored_code_follows_constants_of_other_files(tmp_path):
+def test_stored_code_follows_constants_and_functions_of_other_files(tmp_path):
     pytest.importorskip("numba")
     (tmp_path / "loops.py").write_text(LOOPS)
-    for share in ("0.25", "0.75", "0.75"):
+    for share, factor, said_share in (
+        ("0.25", 2, "0.5"),
+        ("0.75", 2, "1.5"),
+        ("0.75", 2, "1.5"),
+        ("0.75", 3, "2.25"),
+    ):
         (tmp_path / "constants.py").write_text(f"import numpy\nSHARE = numpy.float32({share})")
+        (tmp_path / "functions.py").write_text(f"def multiplied(x):\n    return {factor} * x\n")
         paths = os.pathsep.join([str(tmp_path), *sys.path])
         said = subprocess.run(
             [sys.executable, "-B", "-c", ASK],
@@ -140,8 +152,8 @@ def test_stored_code_follows_constants_of_other_files(tmp_path):
             text=True,
             check=True,
         )
-        assert said.stdout.strip() == share
-    assert len(list((tmp_path / "cache").rglob("*.nbi"))) == 1  # it was stored
+        assert said.stdout.strip() == said_share
+    assert list((tmp_path / "cache").rglob("loops.*.nbi"))  # it was stored
 
 
 class Numba:
