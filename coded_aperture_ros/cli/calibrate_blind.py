@@ -11,6 +11,7 @@ import numpy as np
 from coded_aperture_ros.calibration.blind.config import BlindConfig
 from coded_aperture_ros.calibration.blind.find import BlindMask, find_mask
 from coded_aperture_ros.calibration.pictures import blind_picture, enlarged
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.cli.command import Command, UsageError, argument, group
 from coded_aperture_ros.cli.plane_pictures import MASK_FILE, pictures_in, write_report
 from coded_aperture_ros.cli.reading import GammaArguments
@@ -124,7 +125,8 @@ def _write_files(args: Arguments, found: BlindMask, summary: Summary) -> None:
             levels = np.linspace(sizes.min(), sizes.max(), args.level_count)
             learned_from = f"mask found in {len(sizes)} planes at unknown distances"
             stack = render_psf_stack(found.mask, levels)
-            save_bank(learn_bank(stack, args.filters, learned_from=learned_from), output(args.bank))
+            bank = learn_bank(stack, args.filters, learned_from=learned_from)
+            save_bank(with_optics_limits(bank, progress), output(args.bank))
 
 
 def _text(summary: Summary) -> str:

@@ -217,7 +217,7 @@ def _calibrate_field(
         raise refused
     near_m, far_m = args.depth_range or planes.depths_m[[0, -1]].tolist()
     bank = learn_bank_for_camera(found.camera, near_m, far_m, args.level_count, args.filters)
-    bank = with_optics_limits(bank)
+    bank = with_optics_limits(bank, progress)
     with atomic_outputs() as output:
         if args.output is not None:
             write_report(output, args.output / _REPORT, summary, camera.mask)
@@ -289,6 +289,7 @@ def _write_files(
     summary: Summary,
 ) -> None:
     """Write the bank and all files of the output folder, or none."""
+    bank = with_optics_limits(found.bank, progress)
     with atomic_outputs() as output:
         if args.output is not None:
             write_report(output, args.output / _REPORT, summary, found.pattern.mask)
@@ -296,7 +297,7 @@ def _write_files(
             if camera is not None and finite and not summary["warnings"]:
                 text = _camera_text(summary, Path(str(args.camera)))
                 output(args.output / _CAMERA).write_text(text, encoding="utf-8")
-        save_bank(found.bank, output(bank_file))
+        save_bank(bank, output(bank_file))
 
 
 def _camera_text(summary: Summary, path: Path) -> str:

@@ -113,7 +113,7 @@ def _learned(camera: Camera, near_m: float, far_m: float) -> FilterBank:
     bank = learn_bank_for_camera(
         camera, near_m, far_m, count, progress=lambda levels: progress(levels, count, "level")
     )
-    return with_optics_limits(bank)
+    return with_optics_limits(bank, progress)
 
 
 def _frames(
