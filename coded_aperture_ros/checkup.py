@@ -244,7 +244,7 @@ class FrameCheckup:
         expected = 0.0 if camera is None else camera.noise
         numbers = {"noise": found, "noise_of_the_file": expected}
         if camera is None or not expected:
-            silent = ("there is no" if camera is None else "no noise in the") + " camera file"
+            silent = "there is no camera file" if camera is None else "no noise in the camera file"
             return Finding("noise", OK, f"{found:.4f}; {silent}", "", numbers)
         differs = not 1 / _NOISE_FACTOR <= found / expected <= _NOISE_FACTOR
         return Finding(

@@ -38,7 +38,7 @@ from shards import Arrays, Data
 
 from coded_aperture_ros.depth import CAUSES, DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network.small import SMALL_PX, keep_small_bank
-from coded_aperture_ros.depth.quality import FitCheck
+from coded_aperture_ros.depth.quality import FitCheck, given_of
 from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig, learn_bank
 from coded_aperture_ros.optics import Camera, Mask, PsfStack, render_psf_stack
 from coded_aperture_ros.simulation.layered import LayeredScene
@@ -328,7 +328,7 @@ def _features(
     size_px, confidence = estimate.blur_size_px, estimate.confidence
     misfit = work.frame_cost.misfit
     checked = getattr(work.decoded, "checked", confidence)
-    looks = list(levels.check.features(work.observation, misfit, estimate.level, checked))
+    looks = list(levels.check.features(given_of(work.observation, misfit, estimate.level, checked)))
     if not looks:
         return None
     # The inverse depth is linear in the blur size; near infinity nothing is told apart.

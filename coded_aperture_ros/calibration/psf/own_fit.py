@@ -22,7 +22,7 @@ from coded_aperture_ros.calibration.psf.simulated import (
 from coded_aperture_ros.core.arrays import BoolArray, DoubleArray, FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
-from coded_aperture_ros.depth.quality import FitCheck, fit_terms, turned_gains
+from coded_aperture_ros.depth.quality import FitCheck, fit_terms, given_of, turned_gains
 from coded_aperture_ros.frames import SRGB, decode, encode
 from coded_aperture_ros.likelihood.bank import FilterBank
 from coded_aperture_ros.optics import Mask, PsfStack, render_psf_stack
@@ -222,7 +222,7 @@ class _Looks:
         misfit = work.frame_cost.misfit
         assert misfit is not None  # of a filter bank
         sure = getattr(work.decoded, "checked", work.confidence)
-        looks = list(self._check.features(work.observation, misfit, work.level, sure))
+        looks = list(self._check.features(given_of(work.observation, misfit, work.level, sure)))
         if not looks:
             return None
         sparse = np.s_[::_SPARSE, ::_SPARSE]

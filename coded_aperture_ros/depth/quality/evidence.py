@@ -135,8 +135,8 @@ class HypothesisTest:
         residual /= share
         residual /= own_noise[:, None]
         scatter = -(xp.log(xp.maximum(residual, 1e-6)) @ share)
-        texture = xp.log10(xp.maximum(power @ share, 1.0))
-        weight = xp.clip(texture - 0.15, 0.02, 1.5) * counted
+        texture, weight = texture_and_weight(power)
+        weight *= counted
         weight /= weight.sum()
         sizes_px, logarithm = self._sizes_px, xp.log(own_noise)
         size_px = constant(sizes_px, grey)[level]
@@ -182,6 +182,13 @@ class HypothesisTest:
         }
         missing = xp.full_like(least, _MISSING_GAIN)
         return xp.stack([tried.get(name, missing) for name in NAMES], -1)
+
+
+def texture_and_weight(power: FloatArray) -> tuple[DoubleArray, DoubleArray]:
+    """Logarithm of the power over the noise of windows [n, K], and how much each counts; [n]."""
+    xp = namespace(power)
+    texture = xp.log10(xp.maximum(power @ constant(frequencies().share, power), 1.0))
+    return texture, xp.clip(texture - 0.15, 0.02, 1.5)
 
 
 def windows_of_cells(

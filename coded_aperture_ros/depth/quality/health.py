@@ -208,15 +208,15 @@ class FitCheck:
         self._frames += 1
         if not due:
             return self._health
-        outputs = None
-        for features in self.features(observation, misfit, level, confidence):
+        outputs, given = None, given_of(observation, misfit, level, confidence)
+        for features in self.features(given):
             outputs = (self._own_fit or outputs_of)(features)
             if _health_of(outputs).value > TRUSTED:
                 break
         if outputs is None:
             return self._health
         if self._optics_fit is not None:
-            outputs = self._optics_fit(outputs, self._test, self._given)
+            outputs = self._optics_fit(outputs, self._test, given)
         if self._remembers and self._outputs is not None:
             outputs = self._outputs + np.float32(_NEW_FRAME_WEIGHT) * (outputs - self._outputs)
         health = _health_of(outputs)
@@ -227,28 +227,12 @@ class FitCheck:
         self._outputs, self._health = outputs, health
         return self._health
 
-    def features(
-        self,
-        observation: Observation,
-        misfit: FloatArray,
-        level: FloatArray,
-        confidence: FloatArray,
-    ) -> Iterator[FloatArray]:
+    def features(self, given: dict[str, Any]) -> Iterator[FloatArray]:
         """Features of a frame for the network: from few windows, then, if asked, from more.
 
-        Nothing if the frame has too little texture. Parameters are those of a call.
+        Nothing if the frame has too little texture. For `given` see `given_of`.
         """
-        known, grey = observation.noise, observation.grey
-        noise = max(known.typical, _LEAST_NOISE)
-        if noise < _CLEANEST:  # only simulated frames have so little noise
-            dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
-            grey = grey + constant(np.float32(_DITHER) * dither, grey)
-            noise = float(np.hypot(noise, _DITHER))
-        sigma = known.sigma if known.highest is None else 0.0
-        self._given = given = {"grey": grey, "noise": noise, "known": sigma}
-        given |= {"unusable": observation.unusable, "usable": observation.usable}
-        given |= {"misfit": misfit, "level": level, "confidence": confidence}
-        find: Any = self.numbers if isinstance(grey, np.ndarray) else self.on_device
+        find: Any = self.numbers if isinstance(given["grey"], np.ndarray) else self.on_device
         for cells in _CELLS:
             count, *numbers = find(cells, given) or [0]
             if count >= FEWEST_WINDOWS:
@@ -311,6 +295,22 @@ class FitCheck:
     @cached_property
     def _test(self) -> HypothesisTest:
         return HypothesisTest(self._stack, self._guarded)
+
+
+def given_of(
+    observation: Observation, misfit: FloatArray, level: FloatArray, confidence: FloatArray
+) -> dict[str, Any]:
+    """What the features of a frame are found from, by name; for parameters see `FitCheck`."""
+    known, grey = observation.noise, observation.grey
+    noise = max(known.typical, _LEAST_NOISE)
+    if noise < _CLEANEST:  # only simulated frames have so little noise
+        dither = np.random.default_rng(0).standard_normal(grey.shape, dtype=np.float32)
+        grey = grey + constant(np.float32(_DITHER) * dither, grey)
+        noise = float(np.hypot(noise, _DITHER))
+    sigma = known.sigma if known.highest is None else 0.0
+    given: dict[str, Any] = {"grey": grey, "noise": noise, "known": sigma}
+    given |= {"unusable": observation.unusable, "usable": observation.usable}
+    return given | {"misfit": misfit, "level": level, "confidence": confidence}
 
 
 def _health_of(outputs: FloatArray) -> Health:

@@ -18,6 +18,7 @@ from coded_aperture_ros.depth.quality.evidence import (
     FEWEST_WINDOWS,
     HypothesisTest,
     cut_windows,
+    texture_and_weight,
     windows_of_cells,
 )
 from coded_aperture_ros.depth.quality.mask_test import middle_part
@@ -111,8 +112,7 @@ class OpticsTest:
         )
         found = np.hstack([self._alternatives(power, others), self._least(power, filtered)])
         gain = _limited(flat[np.arange(len(power)), best][:, None] - found)
-        texture = np.log10(np.maximum(power @ frequencies().share, 1.0))
-        weight = np.clip(texture - 0.15, 0.02, 1.5)
+        _, weight = texture_and_weight(power)
         return np.asarray(weight @ (gain - self._expected[best]) / weight.sum())
 
     def _alternatives(self, power: FloatArray, others: PsfHypotheses) -> FloatArray:

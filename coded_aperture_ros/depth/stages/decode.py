@@ -75,8 +75,7 @@ def make(plan: Plan, config: Config) -> Stage:
             from coded_aperture_ros.depth.decoders.network.on_device.decoder import DeviceDecoder
 
             small, stays = plan.small.grid, plan.costs_on_device
-            on_device = DeviceDecoder(plan.levels, small, plan.device, own, stays)
-            return Decode(on_device)
+            return Decode(DeviceDecoder(plan.levels, small, plan.device, own, stays))
         network = NetworkDecoder(
             plan.levels, plan.small.grid, plan.sides, plan.workers, config.network, own
         )

@@ -132,8 +132,7 @@ class NetworkDecoded:
     def _seen(self, unseen: BoolArray, level: FloatArray) -> FloatArray:
         """Levels [map rows, map columns]; the nearest one where nothing was seen."""
         nearest = float(self.scale.levels.nearest_first[0])
-        xp = namespace(level)
-        return xp.where(unseen | self.blank, nearest, level)
+        return namespace(level).where(unseen | self.blank, nearest, level)
 
 
 class NetworkDecoder:
