@@ -819,6 +819,7 @@ def test_a_bank_is_learned_at_start(ros, model, coded):
     chain = Chain(ros, learned, subscribe=("depth/image",))
     depth = array_from_image(chain.result(mono8(coded)))
     assert abs(np.nanmedian(depth) - DEPTH_M) < 0.06 * DEPTH_M
+    assert chain.node._pipeline.model.optics_limits
 
 
 @pytest.mark.parametrize("depth_m", [1.45, 3.2])

@@ -4,6 +4,7 @@ import numpy as np
 import yaml
 from scipy.signal import fftconvolve
 
+from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
 from coded_aperture_ros.likelihood.bank import LearnConfig, learn_bank, save_bank
 from coded_aperture_ros.optics import Camera, load_camera, render_psf, render_psf_stack
 
@@ -39,7 +40,8 @@ def write_model(folder):
     camera_file.write_text(yaml.safe_dump(CAMERA))
     camera = load_camera(camera_file)
     stack = render_psf_stack(camera.mask, np.linspace(*camera.blur_range_px(NEAR_M, FAR_M), 8))
-    save_bank(learn_bank(stack, LearnConfig(window_px=32, rank=48)), bank_file)
+    bank = learn_bank(stack, LearnConfig(window_px=32, rank=48))
+    save_bank(with_optics_limits(bank), bank_file)
     return {
         "camera_file": str(camera_file),
         "bank": str(bank_file),

@@ -127,7 +127,7 @@ class Flicker:
             amplified = deblurring.by_estimate(noisier, estimate) - clear
             # Two frames have noise of their own each.
             by_noise = 2**0.5 * float(amplified.std())
-            self._frames.append((float(np.median(np.abs(depth))), float(light.std()), by_noise))
+            self._frames.append((float(np.nanmedian(np.abs(depth))), float(light.std()), by_noise))
         self._before = seen, errors, clear - seen.clear
 
     def result(self, begin: int = 1) -> dict[str, float]:

@@ -30,9 +30,10 @@ _ABOVE = 0.01
 
 
 def with_optics_limits(bank: FilterBank, progress: Progress = iter) -> FilterBank:
-    """Bank with the limits of its check against other optics; itself where nothing is checked.
+    """Bank with the limits of its check against other optics.
 
-    Banks with a check of their own (`measured_fit`) need none.
+    It is returned as it is where it has them, where nothing is checked, and where it has a check of
+    its own (`measured_fit`).
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ def with_optics_limits(bank: FilterBank, progress: Progress = iter) -> FilterBan
     progress : callable, optional
         Progress callback around the iteration over frames.
     """
-    if bank.own_fit or unchecked_note(bank):
+    if bank.optics_limits or bank.own_fit or unchecked_note(bank):
         return bank
     hypotheses = HypothesisTest(bank.stack, bank.guard_levels > 0)
     test = OpticsTest(hypotheses)
