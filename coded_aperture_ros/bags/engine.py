@@ -28,6 +28,7 @@ from typing import Any, TypeVar
 import cv2
 
 from coded_aperture_ros.core.errors import InputError
+from coded_aperture_ros.core.processes import break_with_lost_process
 from coded_aperture_ros.core.workers import processors
 
 Item = TypeVar("Item")
@@ -169,12 +170,22 @@ def _start_silent_tracker() -> None:
 
 
 def _worker_processes() -> Any:
-    """Return joblib's worker processes, whose end in the middle of tasks prints nothing."""
+    """Return joblib's worker processes: their end is noticed always, and prints nothing."""
     from joblib.parallel import BACKENDS
 
     loky: Any = BACKENDS["loky"]
 
     class Workers(loky):
+        _watched: Any = None
+
+        def configure(self, *args: Any, **kwargs: Any) -> int:
+            count: int = super().configure(*args, **kwargs)
+            self._workers._ensure_executor_running()
+            if self._watched is not self._workers:
+                self._watched = self._workers
+                break_with_lost_process(self._workers)
+            return count
+
         def abort_everything(self, ensure_ready: bool = True) -> None:
             # Asked to end them, loky forgets the tasks that wait, and its thread fails with a
             # KeyError if it takes one just then. When they have ended, it forgets them in order.

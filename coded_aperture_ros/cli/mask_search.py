@@ -3,6 +3,7 @@
 import dataclasses
 import logging
 import multiprocessing
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +19,7 @@ from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import check_output
+from coded_aperture_ros.core.processes import break_with_lost_process
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.core.workers import processors
@@ -108,6 +110,8 @@ def _local_processes(jobs: int) -> Iterator[RunAll]:
     # A forked process would inherit the locks of libraries' threads, but not the threads.
     pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
     try:
+        pool.submit(os.getpid)  # it begins with its first task
+        break_with_lost_process(pool)
         yield lambda tasks: list(pool.map(_run, tasks))
     except BrokenProcessPool as error:
         raise InputError(

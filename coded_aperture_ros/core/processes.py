@@ -7,14 +7,18 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from typing import TypeVar
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
+from typing import Any, TypeVar
 
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.progress import progress
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+# A process that has ended so long ago was not noticed by its pool.
+_NOTICED_S = 3.0
 
 
 def map_in_processes(
@@ -47,6 +51,7 @@ def map_in_processes(
         try:
             with _interrupts_wait():
                 futures = [pool.submit(work, item) for item in items]
+            break_with_lost_process(pool)
             for future in progress(as_completed(futures), len(futures), unit):
                 future.result()  # the first error ends the run
         except BrokenProcessPool as error:
@@ -74,6 +79,36 @@ def _interrupts_wait() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def break_with_lost_process(pool: Any) -> None:
+    """Let a pool break, too, when one of its processes is killed while it sends a result.
+
+    By itself the pool's thread waits for the rest of the result, and never asks whether the process
+    is still there.
+
+    Parameters
+    ----------
+    pool : ProcessPoolExecutor
+        Of Python or of loky, with a task.
+    """
+    thread, processes, results = pool._executor_manager_thread, pool._processes, pool._result_queue
+
+    def watch() -> None:
+        ended: set[int] = set()
+        while thread.is_alive():
+            before = ended
+            thread.join(_NOTICED_S)
+            started = {process.sentinel: pid for pid, process in list(processes.items())}
+            ended = {started[sentinel] for sentinel in wait(list(started), 0)}
+            if ended & before:
+                for pid in set(started.values()) - ended:
+                    with suppress(ProcessLookupError):  # it has ended meanwhile
+                        os.kill(pid, signal.SIGKILL)  # processes of loky have no `kill`
+                results._writer.close()  # the last one: the thread reads the end of the results
+                return
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def end_with_program() -> None:

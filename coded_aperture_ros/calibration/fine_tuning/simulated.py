@@ -18,7 +18,7 @@ from coded_aperture_ros.calibration.fine_tuning.frames import Frame
 from coded_aperture_ros.calibration.psf.simulated import simulated_frames
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.processes import end_with_program
+from coded_aperture_ros.core.processes import break_with_lost_process, end_with_program
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
@@ -107,6 +107,7 @@ def _new_frames(bank: FilterBank, first: int) -> Iterator[tuple[int, int, dict[s
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(count, context, _set_up, (bank,)) as pool:
         waiting = {pool.submit(_scene_frames, next(scenes)) for _ in range(count)}
+        break_with_lost_process(pool)
         try:
             while True:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
