@@ -5,7 +5,7 @@ import json
 import logging
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from functools import partial
 from itertools import groupby
 from pathlib import Path
@@ -80,8 +80,7 @@ def run(args: Arguments) -> int:
     )
     without_depth = InputsWithoutDepth()
     summaries: list[dict[str, Any]] = []
-    shown: AbstractContextManager[Any] = movie(args.movie) if args.movie else nullcontext()
-    with shown as add_to_movie:
+    with movie(args.movie) if args.movie else nullcontext() as add_to_movie:
         frames = named_frames(args, outputs, skipped, camera)
         if args.estimation.moving_camera in ("pose", "gyro"):
             frames = with_poses(args, frames)
@@ -99,8 +98,7 @@ def run(args: Arguments) -> int:
                 add_to_movie(frame_beside_depth(named.frame.picture, values, scale))
             summary = _summary(args, named, estimate, values, seconds)
             if truth is not None:
-                errors = truth.compare(named.output, named.frame.picture, estimate)
-                summary["truth"] = errors
+                summary["truth"] = truth.compare(named.output, named.frame.picture, estimate)
             summaries.append(summary)
             without_depth.note(named, summary["median"] is not None, summary["cause"])
             if not args.json:

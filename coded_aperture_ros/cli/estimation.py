@@ -3,7 +3,7 @@
 import dataclasses
 import logging
 
-from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
+from coded_aperture_ros.calibration.psf.optics_limits import checked_model
 from coded_aperture_ros.cli.command import UsageError
 from coded_aperture_ros.cli.estimation_arguments import EstimationArguments
 from coded_aperture_ros.core.errors import InputError, naming
@@ -13,8 +13,7 @@ from coded_aperture_ros.depth import DepthConfig, model_notes, refinement_note
 from coded_aperture_ros.depth.decoders.regularize import LEARNED
 from coded_aperture_ros.frames import ExpectedMotion
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.likelihood.bank import FilterBank, check_setting, load_bank
-from coded_aperture_ros.likelihood.choose import new_model
+from coded_aperture_ros.likelihood.bank import check_setting, load_bank
 from coded_aperture_ros.optics import Camera
 from coded_aperture_ros.optics.rotation import expected_motion
 from coded_aperture_ros.pipeline import FramePipeline
@@ -69,7 +68,7 @@ def make_pipeline(
     with naming(args.camera or args.bank):
         if bank is not None and camera is not None:
             camera = check_setting(bank, camera)
-        model = new_model(
+        model = checked_model(
             "motion" if estimates_motion(args) else args.method,
             camera=camera,
             bank=bank,
@@ -77,10 +76,9 @@ def make_pipeline(
             level_count=args.level_count,
             two_pixel=args.two_pixel,
             motion=args.motions,
-            progress=lambda vectors: progress(vectors, unit="motion"),
+            checked=config.check_fit,
+            progress=progress,
         )
-        if config.check_fit and isinstance(model, FilterBank):
-            model = with_optics_limits(model, lambda frames: progress(frames, unit="frame"))
         pipeline = FramePipeline(model, camera, config, deblur)
     _check_smoothness(model, config)
     for note in model_notes(model, config, camera, warns_of_sides):

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, Imu, PointCloud2
 from std_msgs.msg import Header
 
-from coded_aperture_ros.calibration.psf.optics_limits import with_optics_limits
+from coded_aperture_ros.calibration.psf.optics_limits import checked_model
 from coded_aperture_ros.core.arrays import DoubleArray, FloatArray
 from coded_aperture_ros.core.blas import slow_blas_warning
 from coded_aperture_ros.core.errors import InputError
@@ -49,8 +49,8 @@ from coded_aperture_ros.io.messages import (
     millimetres_from_depth,
 )
 from coded_aperture_ros.likelihood import LikelihoodModel
-from coded_aperture_ros.likelihood.bank import FilterBank, LearnConfig
-from coded_aperture_ros.likelihood.choose import METHODS, new_model
+from coded_aperture_ros.likelihood.bank import LearnConfig
+from coded_aperture_ros.likelihood.choose import METHODS
 from coded_aperture_ros.likelihood.motion import MotionConfig, with_motion_config
 from coded_aperture_ros.likelihood.two_pixel import TwoPixelConfig
 from coded_aperture_ros.optics.distortion import pixel_rays
@@ -130,12 +130,6 @@ def output_types() -> dict[str, type]:
     return types
 
 
-def _checked_model(**given: Any) -> LikelihoodModel:
-    """Model that frames are checked against, as of `new_model`."""
-    model = new_model(**given)
-    return with_optics_limits(model) if isinstance(model, FilterBank) else model
-
-
 def _compressed_topic(spec: LayerSpec) -> str:
     return f"{spec.topic}/compressedDepth"
 
@@ -189,8 +183,8 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         if method == "two_pixel" and self._model_config.bank:
             raise InputError("method: two_pixel has no bank: leave the parameter bank empty")
         make = functools.partial(
-            _checked_model,
-            method=method,
+            checked_model,
+            method,
             learn=configs[LearnConfig],
             two_pixel=configs[TwoPixelConfig],
             motion=configs[MotionConfig],

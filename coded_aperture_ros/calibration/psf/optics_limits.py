@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterator
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,7 +11,9 @@ from coded_aperture_ros.core.arrays import FloatArray
 from coded_aperture_ros.core.progress import Progress
 from coded_aperture_ros.depth import unchecked_note
 from coded_aperture_ros.depth.quality import HypothesisTest, OpticsTest, fitted_limits
+from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import FilterBank
+from coded_aperture_ros.likelihood.choose import new_model
 from coded_aperture_ros.simulation.layered.textures import TEXTURE_COUNT, texture
 
 # Frames of patches at different depths, their side, px, and the most patches.
@@ -28,22 +31,26 @@ _ALL_LEVELS = 0.4
 # Share of the simulated frames above the limit.
 _ABOVE = 0.01
 
+Model = TypeVar("Model", bound=LikelihoodModel)
 
-def with_optics_limits(bank: FilterBank, progress: Progress = iter) -> FilterBank:
+
+def with_optics_limits(model: Model, progress: Progress = iter) -> Model:
     """Bank with the limits of its check against other optics.
 
-    It is returned as it is where it has them, where nothing is checked, and where it has a check of
-    its own (`measured_fit`).
+    A model is returned as it is where nothing is checked, and a bank where it has them, or has a
+    check of its own (`measured_fit`).
 
     Parameters
     ----------
-    bank : FilterBank
+    model : FilterBank, or another model
     progress : callable, optional
         Progress callback around the iteration over frames.
     """
-    if bank.optics_limits or bank.own_fit or unchecked_note(bank):
-        return bank
-    hypotheses = HypothesisTest(bank.stack, bank.guard_levels > 0)
+    if not isinstance(model, FilterBank) or unchecked_note(model):
+        return model
+    if model.optics_limits or model.own_fit:
+        return model
+    hypotheses = HypothesisTest(model.stack, model.guard_levels > 0)
     test = OpticsTest(hypotheses)
     frames = _frames(np.stack(hypotheses.levels.psfs))
     found = []
@@ -52,7 +59,15 @@ def with_optics_limits(bank: FilterBank, progress: Progress = iter) -> FilterBan
         gains = test.gains(frame, noise, None)
         if gains is not None:
             found.append(gains)
-    return dataclasses.replace(bank, optics_limits=fitted_limits(np.array(found), _ABOVE))
+    return dataclasses.replace(model, optics_limits=fitted_limits(np.array(found), _ABOVE))
+
+
+def checked_model(
+    method: str = "bank", *, checked: bool = True, progress: Progress = iter, **given: Any
+) -> LikelihoodModel:
+    """Model of a method, see `new_model`, with the limits of its check where frames are checked."""
+    model = new_model(method, progress=progress, **given)
+    return with_optics_limits(model, progress) if checked else model
 
 
 def _frames(psfs: FloatArray) -> Iterator[tuple[FloatArray, float]]:
