@@ -64,3 +64,9 @@ def test_what_another_surface_hides_is_no_change():
     seen = tuple(Seen(np.eye(4), depth, depth) for depth in (np.full_like(near, WALL_M), near))
     found = changes(np.zeros(SHAPE, np.float32), (near == 1.0).astype(np.float32), seen, VIEW)
     assert not found.any() and found.size == near.size - 30 * 30
+
+
+def test_depth_that_is_unknown_in_places_does_not_count(deblurring):
+    off = np.full(SHAPE, 0.02)
+    off[:8, :8] = np.nan
+    assert flicker_of(deblurring, [off, -off] * 2)["depth_flicker"] == pytest.approx(0.04, 1e-2)
