@@ -2,10 +2,7 @@
 
 import dataclasses
 import logging
-import multiprocessing
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,7 +16,7 @@ from coded_aperture_ros.core.arrays import BoolArray
 from coded_aperture_ros.core.cluster import dask_client
 from coded_aperture_ros.core.errors import InputError
 from coded_aperture_ros.core.files import check_output
-from coded_aperture_ros.core.processes import break_with_lost_process
+from coded_aperture_ros.core.processes import ProcessPool
 from coded_aperture_ros.core.progress import progress
 from coded_aperture_ros.core.text_table import table
 from coded_aperture_ros.core.workers import processors
@@ -107,11 +104,8 @@ def _local_processes(jobs: int) -> Iterator[RunAll]:
     if jobs == 1:
         yield lambda tasks: [_run(task) for task in tasks]
         return
-    # A forked process would inherit the locks of libraries' threads, but not the threads.
-    pool = ProcessPoolExecutor(jobs, multiprocessing.get_context("spawn"))
+    pool = ProcessPool(jobs)
     try:
-        pool.submit(os.getpid)  # it begins with its first task
-        break_with_lost_process(pool)
         yield lambda tasks: list(pool.map(_run, tasks))
     except BrokenProcessPool as error:
         raise InputError(

@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait
@@ -19,6 +19,33 @@ Result = TypeVar("Result")
 
 # A process that has ended so long ago was not noticed by its pool.
 _NOTICED_S = 3.0
+
+
+class ProcessPool(ProcessPoolExecutor):
+    """Pool of new processes that breaks whenever one of them is lost.
+
+    Parameters
+    ----------
+    jobs : int
+        Number of processes.
+    set_up : callable, optional
+        Called in each process first, with `arguments`.
+    """
+
+    def __init__(
+        self, jobs: int, set_up: Callable[..., None] | None = None, arguments: tuple[Any, ...] = ()
+    ) -> None:
+        # A forked process would inherit the locks of libraries' threads, but not the threads.
+        super().__init__(jobs, multiprocessing.get_context("spawn"), set_up, arguments)
+        self._watched = False
+
+    def submit(self, work: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """Have work done in a process, as of `ProcessPoolExecutor`."""
+        future = super().submit(work, *given, **named)
+        if not self._watched:  # it begins with its first task
+            self._watched = True
+            break_with_lost_process(self)
+        return future
 
 
 def map_in_processes(
@@ -45,13 +72,10 @@ def map_in_processes(
     jobs = min(jobs, len(items))
     if jobs <= 1:
         return [work(item) for item in progress(items, len(items), unit)]
-    # A forked process would inherit the locks of libraries' threads, but not the threads.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, context, initializer=_set_up) as pool:
+    with ProcessPool(jobs, _set_up) as pool:
         try:
             with _interrupts_wait():
                 futures = [pool.submit(work, item) for item in items]
-            break_with_lost_process(pool)
             for future in progress(as_completed(futures), len(futures), unit):
                 future.result()  # the first error ends the run
         except BrokenProcessPool as error:
@@ -90,7 +114,7 @@ def break_with_lost_process(pool: Any) -> None:
     Parameters
     ----------
     pool : ProcessPoolExecutor
-        Of Python or of loky, with a task.
+        Of Python or of loky, begun.
     """
     thread, processes, results = pool._executor_manager_thread, pool._processes, pool._result_queue
 

@@ -182,6 +182,7 @@ class DepthNode(FrameNode[tuple[Image, float]]):
         self._model_config = configs[ModelConfig]
         if method == "two_pixel" and self._model_config.bank:
             raise InputError("method: two_pixel has no bank: leave the parameter bank empty")
+        # With limits at any rate: the check may be turned on while the node runs.
         make = functools.partial(
             checked_model,
             method,

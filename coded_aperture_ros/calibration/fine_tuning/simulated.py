@@ -5,7 +5,7 @@ import multiprocessing
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from coded_aperture_ros.calibration.fine_tuning.frames import Frame
 from coded_aperture_ros.calibration.psf.simulated import simulated_frames
 from coded_aperture_ros.core.archive import read_archive, write_archive
 from coded_aperture_ros.core.errors import InputError
-from coded_aperture_ros.core.processes import break_with_lost_process, end_with_program
+from coded_aperture_ros.core.processes import ProcessPool, end_with_program
 from coded_aperture_ros.core.workers import processors
 from coded_aperture_ros.depth import DepthConfig, DepthEstimator
 from coded_aperture_ros.depth.decoders.network import NetworkDecoder
@@ -104,10 +104,8 @@ def _new_frames(bank: FilterBank, first: int) -> Iterator[tuple[int, int, dict[s
             for index, arrays in enumerate(_scene_frames(scene)[1]):
                 yield scene, index, arrays
     # Processes, because much of the drawing of scenes is Python.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(count, context, _set_up, (bank,)) as pool:
+    with ProcessPool(count, _set_up, (bank,)) as pool:
         waiting = {pool.submit(_scene_frames, next(scenes)) for _ in range(count)}
-        break_with_lost_process(pool)
         try:
             while True:
                 done, waiting = wait(waiting, return_when=FIRST_COMPLETED)

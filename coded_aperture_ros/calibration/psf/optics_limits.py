@@ -65,7 +65,15 @@ def with_optics_limits(model: Model, progress: Progress = iter) -> Model:
 def checked_model(
     method: str = "bank", *, checked: bool = True, progress: Progress = iter, **given: Any
 ) -> LikelihoodModel:
-    """Model of a method, see `new_model`, with the limits of its check where frames are checked."""
+    """Model of a method, with the limits of its check against other optics.
+
+    Parameters
+    ----------
+    method, progress, **given
+        See `new_model`.
+    checked : bool
+        Whether frames are checked, so that the limits are needed.
+    """
     model = new_model(method, progress=progress, **given)
     return with_optics_limits(model, progress) if checked else model
 
