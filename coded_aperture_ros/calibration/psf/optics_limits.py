@@ -13,7 +13,6 @@ from coded_aperture_ros.depth import unchecked_note
 from coded_aperture_ros.depth.quality import HypothesisTest, OpticsTest, fitted_limits
 from coded_aperture_ros.likelihood import LikelihoodModel
 from coded_aperture_ros.likelihood.bank import FilterBank
-from coded_aperture_ros.likelihood.choose import new_model
 from coded_aperture_ros.simulation.layered.textures import TEXTURE_COUNT, texture
 
 # Frames of patches at different depths, their side, px, and the most patches.
@@ -74,6 +73,9 @@ def checked_model(
     checked : bool
         Whether frames are checked, so that the limits are needed.
     """
+    # Only here: what motion needs takes 0.3 s to import, and `learn` has no use for it.
+    from coded_aperture_ros.likelihood.choose import new_model
+
     model = new_model(method, progress=progress, **given)
     return with_optics_limits(model, progress) if checked else model
 
